@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 
 ROUNDS ?= 10
 
-.PHONY: container service ssh nat pythons demo test test-long test-rest guests lint types imports pytest campaign attack heavy refusals worlds fuzz fuzz-board firmware datagrams wan far-user scenes world-peers encoder friction mechanisms identify orientation six-axes flood loop watched soak users linked-users chaos faults lateness inertia honest hostile blamed device-faults remote pictures page benchmark curve figures docs words docs-pictures clean
+.PHONY: walks container service ssh nat pythons demo test test-long test-rest guests lint types imports pytest campaign attack heavy refusals worlds fuzz fuzz-board firmware datagrams wan far-user scenes world-peers encoder friction mechanisms identify orientation six-axes flood loop watched soak users linked-users chaos faults lateness inertia honest hostile blamed device-faults remote pictures page benchmark curve figures docs words docs-pictures clean
 
 demo: $(VENV)/.installed
 	$(BIN)/manyhands demo -o out/demo
@@ -51,7 +51,11 @@ test-rest: $(VENV)/.installed
 
 # guests who come and go by real processes across a WAN: in every phase, and twenty at random; ten minutes
 guests: $(VENV)/.installed
-	$(BIN)/pytest -m minutes
+	$(BIN)/pytest -m minutes tests/system/test_seats.py
+
+# every driver on its fake in real time, from identify to a wall that is felt; forty minutes, and nothing else may run
+walks: $(VENV)/.installed
+	$(BIN)/pytest -rPs -o faulthandler_timeout=2400 -m long tests/system/test_identify.py
 
 # properties of the mathematics, the codec and session files with new random cases in each round; not part of `make test`.
 # Then the attack: so many certificates that `prove` accepts, designed and forged, against an oracle of other code

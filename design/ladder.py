@@ -151,6 +151,16 @@ def design_ladder(
     return LadderFound(None, tuple(notes))
 
 
+def _at(loop: HapticLoop, tau: float) -> HapticLoop:
+    """The loop at a longer delay, s: springs of orientations are as stiff there as they are proved."""
+    T, rho = loop.period, loop.period_tolerance
+    devices = tuple(
+        device if device.orientation is None else replace(device, orientation=device.orientation.within(T, tau, rho))
+        for device in loop.devices
+    )
+    return replace(loop, tau=tau, devices=devices)
+
+
 def _rung(first: Certificate, wanted: CouplingRequest, tau: float) -> Certificate:
     """The certificate for a longer delay, of the first coupling that can be certified.
 
@@ -158,7 +168,7 @@ def _rung(first: Certificate, wanted: CouplingRequest, tau: float) -> Certificat
         Infeasible: no coupling can be certified.
         DesignError: no coupling was certified, for a different reason.
     """
-    loop = replace(first.loop, tau=tau)
+    loop = _at(first.loop, tau)
     reason: DesignError | None = None
     for find in _ways(loop, wanted, first):
         try:

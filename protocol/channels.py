@@ -230,6 +230,7 @@ class Topic:
         torques: whether only devices have it whose motors hold torques.
         certified: whether only sessions with a certificate have it, for it is about what is promised.
         hands: whether only hands have it whose orientation is a port, and their world.
+        felt: whether only those of them have it that feel a torque, and not those whose orientation is sensed alone.
     """
 
     name: str
@@ -242,6 +243,7 @@ class Topic:
     torques: bool = False
     certified: bool = False
     hands: bool = False
+    felt: bool = False
 
     def columns_of(
         self,
@@ -293,10 +295,10 @@ TOPICS: Final[Mapping[Role, tuple[Topic, ...]]] = MappingProxyType(
             Topic("instants", INSTANTS, "s, a", "ns", Columns.INSTANTS, wall=True),
             Topic("work", WORK, "W", "J", Columns.WORKS, wall=True, torques=True, certified=True),
             Topic("orientation", ORIENTATION, "R", "1", Columns.QUATERNION, hands=True),
-            Topic("proxy", PROXY, "Q", "1", Columns.QUATERNION, hands=True),
-            Topic("torque", TORQUE, "t", "N·m", Columns.AXES, hands=True),
-            Topic("proposed", PROPOSED, "Q, G", "1, J", Columns.PROPOSED, hands=True),
-            Topic("account", ACCOUNT, "A", "J, N·m", Columns.ACCOUNT, hands=True),
+            Topic("proxy", PROXY, "Q", "1", Columns.QUATERNION, hands=True, felt=True),
+            Topic("torque", TORQUE, "t", "N·m", Columns.AXES, hands=True, felt=True),
+            Topic("proposed", PROPOSED, "Q, G", "1, J", Columns.PROPOSED, hands=True, felt=True),
+            Topic("account", ACCOUNT, "A", "J, N·m", Columns.ACCOUNT, hands=True, felt=True),
         ),
         Role.COUPLING: (
             Topic("tool", FREE_POSITION, "p", "m", Columns.PORTS),
@@ -331,6 +333,7 @@ def topics_of(
     certified: bool = True,
     oriented: tuple[str, ...] = (),
     hands: tuple[str, ...] = (),
+    sensed: Collection[str] = (),
 ) -> tuple[Topic, ...]:
     """The topics of a node of this role.
 
@@ -344,13 +347,16 @@ def topics_of(
         oriented: the bodies of the environment whose orientations are reported; without them their topic is left out.
         hands: the devices whose orientation is a port: of the environment, or this device alone; without them the
             topics of such hands are left out.
+        sensed: the devices whose orientation is sensed alone; such a device has only the topics of those.
     """
+    felt = not {*hands} <= {*sensed}
     return tuple(
         topic
         for topic in TOPICS.get(role, ())
         if (masses or topic.columns is not Columns.MASSES)
         and (oriented or topic.columns is not Columns.QUATERNIONS)
         and (hands or not topic.hands)
+        and (felt or not topic.felt)
         and (wall or not topic.wall)
         and (linked or not topic.linked)
         and (torques or not topic.torques)

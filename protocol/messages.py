@@ -304,7 +304,7 @@ class Wave:
     Attributes:
         tick: n, the sender's tick count, at least 0; it rises from each wave of a life to the next.
         sums: U = Σ T a, the sum of the outgoing wave a over the sender's ticks of T seconds; one entry for each port of
-            the link, √(J·s), finite.
+            the link, √(J·s), finite; then what rides with the tick's motion or force, as in a :class:`Sample`.
         shipped: G, the energy shipped so far, J, finite; it never falls within a life.
         buttons: from a coupling, those of its devices in tick n, as in a :class:`Tool`.
     """
@@ -498,7 +498,10 @@ class Condition:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Grasp:
-    """From a person's pointer to a device: hold the device at ``position``, m, one entry for each axis."""
+    """From a person's pointer to a device: hold the device at ``position``, m, one entry for each axis.
+
+    Behind them may stand the unit quaternion of where a device is to be turned whose orientation is a port.
+    """
 
     position: Values
 

@@ -6,6 +6,9 @@ With periods of at most lambda T and delays of at most tau the promise holds on 
 
 whatever the world proposes and however late it does (docs/decisions/0054-orientation.md). The hand itself tests what is
 proposed (:mod:`manyhands.nodes.kernel.orientation`), so the claim is none about couplings or environment.
+
+Where the orientation is sensed alone, no torque acts on the hand, and nothing has to be burnt: k is that of the spring
+by which the tool's avatar follows the hand.
 """
 
 from __future__ import annotations
@@ -22,37 +25,48 @@ SPARE: Final = 0.01
 """The part of the stiffest spring that is left out where no stiffness is stated."""
 
 
+SENSED: Final = "sensed"
+"""The key of an orientation without a torque, in a certificate."""
+
+
 @dataclass(frozen=True)
 class OrientationLevel:
     """The orientation of a device.
 
     Attributes:
-        osp: b, N*m*s/rad: it burns b|omega|^2 at least.
+        osp: b, N*m*s/rad: it burns b|omega|^2 at least; None where the orientation is sensed and no torque acts.
         stiffness: k, N*m/rad.
 
     Raises:
         ValueError: a number is not finite, or not greater than 0.
     """
 
-    osp: float
+    osp: float | None
     stiffness: float
 
     def __post_init__(self) -> None:
-        for name in ("osp", "stiffness"):
+        for name in ("stiffness",) if self.osp is None else ("osp", "stiffness"):
             if not 0.0 < getattr(self, name) < math.inf:
                 raise ValueError(f"{name}: found {getattr(self, name)}; expected a finite number greater than 0")
 
-    def describe(self) -> dict[str, float]:
+    def describe(self) -> dict[str, float | bool]:
         """As plain data, which :func:`orientation_of` reads."""
-        return {"osp": self.osp, "stiffness": self.stiffness}
+        own: dict[str, float | bool] = {SENSED: True} if self.osp is None else {"osp": self.osp}
+        return {**own, "stiffness": self.stiffness}
 
     def needed(self, T: float, tau: float, period_tolerance: float) -> Fraction:
-        """K (lambda T + 3 tau)/2, N*m*s/rad: the damping that the spring needs."""
-        return Fraction(self.stiffness) * _half(T, tau, period_tolerance)
+        """K (lambda T + 3 tau)/2, N*m*s/rad: the damping that the spring needs; 0 where no torque acts."""
+        return Fraction(0) if self.osp is None else Fraction(self.stiffness) * _half(T, tau, period_tolerance)
+
+    def within(self, T: float, tau: float, period_tolerance: float) -> OrientationLevel:
+        """Itself where it is proved, and otherwise with the stiffest spring that is, less :data:`SPARE`."""
+        if self.osp is None or self.proved(T, tau, period_tolerance):
+            return self
+        return OrientationLevel(self.osp, stiffest(self.osp, T, tau, period_tolerance))
 
     def proved(self, T: float, tau: float, period_tolerance: float) -> bool:
         """Whether the device burns as much."""
-        return self.needed(T, tau, period_tolerance) <= Fraction(self.osp)
+        return self.osp is None or self.needed(T, tau, period_tolerance) <= Fraction(self.osp)
 
 
 def stiffest(osp: float, T: float, tau: float, period_tolerance: float, spare: float = SPARE) -> float:
@@ -74,7 +88,7 @@ def require_proved(name: str, of: OrientationLevel, T: float, tau: float, period
     Raises:
         Infeasible: it does not.
     """
-    if not of.proved(T, tau, period_tolerance):
+    if of.osp is not None and not of.proved(T, tau, period_tolerance):
         most = stiffest(of.osp, T, tau, period_tolerance, 0.0)
         raise Infeasible(
             f"the orientation of {name}: found a stiffness of {of.stiffness:g} N·m/rad; expected at most {most:.4g} "
@@ -93,6 +107,7 @@ def orientation_of(data: Mapping[str, Any]) -> OrientationLevel:
     Raises:
         KeyError, TypeError, ValueError: a key is missing or unknown, or its value is none.
     """
-    if unknown := set(data) - {"osp", "stiffness"}:
-        raise ValueError(f"orientation: found the keys {sorted(unknown)}; expected osp and stiffness")
-    return OrientationLevel(float(data["osp"]), float(data["stiffness"]))
+    if set(data) not in ({"osp", "stiffness"}, {SENSED, "stiffness"}) or data.get(SENSED, True) is not True:
+        expected = f"osp and stiffness, or {SENSED} (true) and stiffness"
+        raise ValueError(f"orientation: found the keys {sorted(data)}; expected {expected}")
+    return OrientationLevel(None if SENSED in data else float(data["osp"]), float(data["stiffness"]))

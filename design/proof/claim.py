@@ -557,11 +557,11 @@ class OrientationData:
     """The orientation of a device.
 
     Attributes:
-        osp: b, N*m*s/rad.
+        osp: b, N*m*s/rad; None where it is sensed, and no torque acts on the hand.
         stiffness: k, N*m/rad.
     """
 
-    osp: fmpq
+    osp: fmpq | None
     stiffness: fmpq
 
 
@@ -803,8 +803,13 @@ def _held(item: Item, m: int) -> HeldTorqueData:
 def _orientation(item: Item, m: int) -> OrientationData:
     if m != 3:
         raise item.refusal("none beside another number of ports than three")
-    fields = item.fields(("osp", "stiffness"))
-    return OrientationData(*(exact_decimal(fields[key].number()) for key in ("osp", "stiffness")))
+    fields = item.fields(("stiffness",), ("osp", "sensed"))
+    stiffness = exact_decimal(fields["stiffness"].number())
+    if "osp" in fields and "sensed" not in fields:
+        return OrientationData(exact_decimal(fields["osp"].number()), stiffness)
+    if "osp" in fields or "sensed" not in fields or fields["sensed"].value is not True:
+        raise item.refusal("an osp, or sensed: true, which has none")
+    return OrientationData(None, stiffness)
 
 
 def _of_axes(item: Item, m: int) -> tuple[fmpq, ...]:

@@ -113,12 +113,17 @@ def held_findings(claim: Claim) -> list[Finding]:
 def orientation_findings(claim: Claim) -> list[Finding]:
     """Of each device with an orientation: what it burns pays for its spring's torque, held from tick to tick.
 
-    This is (3) of docs/decisions/0054-orientation.md, on all of SO(3). Torques that joints hold are not covered.
+    This is (3) of docs/decisions/0054-orientation.md, on all of SO(3). Torques that joints hold are not covered. Where
+    an orientation is sensed, no torque acts on the hand, and nothing has to be paid for.
     """
     found = []
     half = ((1 + claim.period_tolerance) * claim.period + 3 * claim.tau) / 2
     for device, held, own in zip(claim.devices, claim.held, claim.orientation, strict=True):
         if own is None:
+            continue
+        if own.osp is None:
+            condition = f"the orientation of {device.name} is sensed, without a torque: k > 0, and nothing is needed"
+            found.append(Finding(condition, own.stiffness > 0, rational.rounded(own.stiffness), 0.0, "", "exactly"))
             continue
         spare = own.osp - own.stiffness * half
         holds = own.osp > 0 and own.stiffness > 0 and spare >= 0

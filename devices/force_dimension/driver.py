@@ -17,6 +17,10 @@ torques in between, where the library did not refresh a reading, or scaled the t
 **What the device would do by itself** is switched off at the start: gravity compensation, and the time guard, by which
 the library answers with old readings. The watchdog is set for each force, in steps of 125 us. Exchanges are
 synchronous, so that a reading is no older than its call. A tick has two of them, a reading and new torques.
+
+**A wrist** is asked for its orientation where a session has that, which takes an exchange more. The motors of an active
+one would hold torques of its joints, of which nothing is proved beside an orientation
+(docs/decisions/0054-orientation.md). So no torque is ever exerted there: the orientation of any wrist is sensed.
 """
 
 from __future__ import annotations
@@ -28,10 +32,17 @@ from pathlib import Path
 from typing import Any, Final
 
 from manyhands.devices.force_dimension import survey
-from manyhands.devices.force_dimension.library import SATURATED, SYNCHRONOUS, ForceDimensionError, Kinematics, load
+from manyhands.devices.force_dimension.library import (
+    SATURATED,
+    SYNCHRONOUS,
+    ForceDimensionError,
+    Kinematics,
+    load,
+    quaternion,
+)
 from manyhands.devices.starting import TRIPS, is_number, measured_times, merged
 from manyhands.nodes.device.plugin import DeviceDriver
-from manyhands.nodes.device.specification import DeviceSpecification, DeviceTiming, up
+from manyhands.nodes.device.specification import WORLD, DeviceSpecification, DeviceTiming, OrientationSpecification, up
 from manyhands.protocol.clock import Clock, Duration, Instant, RealtimeClock, from_seconds, seconds
 
 PARAMETERS: Final[Mapping[str, object]] = {
@@ -40,6 +51,7 @@ PARAMETERS: Final[Mapping[str, object]] = {
     "serial": None,
     "reach": None,
     "speed": 1.0,
+    "turning": 20.0,
     "silence": 0.01,
     "sample_age": None,
     "actuation_delay": None,
@@ -125,6 +137,8 @@ class ForceDimension(DeviceDriver):
         self._oldest = 0.0  # s
         self._old = self._unrefreshed = self._saturated = self._ended = 0
         self._kinematics = opened(load(given["library"]), given["serial"], given["device"])
+        self._wrist, self._active = self._kinematics.wrist, self._kinematics.active_wrist
+        self._turning = given["turning"]
         self._open = True
         try:
             self._threshold = self._prepared(given)
@@ -209,6 +223,9 @@ class ForceDimension(DeviceDriver):
             step=self._survey.step,
             holds_torque=True,
             buttons=BUTTONS,
+            orientation=OrientationSpecification(self._turning, holds="joints" if self._active else WORLD)
+            if self._wrist
+            else None,
             by_itself=(
                 "takes its force away and brakes where it is faster than its velocity threshold "
                 f"({self._threshold} in units of its own)",
@@ -232,6 +249,10 @@ class ForceDimension(DeviceDriver):
         self._answer, self._work = self._answer + self._work, 0.0
         self._answer_lost, self._lost = self._answer_lost or self._lost, False
         return self._x
+
+    def orientation(self) -> Sequence[float]:
+        """How its wrist is turned, (w, x, y, z), read now: not more than two exchanges after the place."""
+        return quaternion(self._kinematics.frame())
 
     def buttons(self) -> int:
         """The buttons that are held down, by the maker's numbers."""
@@ -367,6 +388,8 @@ class ForceDimension(DeviceDriver):
     def _turn_on(self) -> None:
         """Turn the motors on, with no torque of before."""
         self._kinematics.called("dhdSetDeltaJointTorques", *_ZERO)
+        if self._active:
+            self._kinematics.called("dhdSetWristJointTorques", *_ZERO)
         self._t, self._F = list(_ZERO), list(_ZERO)
         self._scaled = False
         self._kinematics.called("dhdSetBrakes", 0)
@@ -513,9 +536,13 @@ def _checked(parameters: Mapping[str, Any]) -> dict[str, Any]:
             isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= most
         ):
             raise ValueError(f"parameters.{name}: found {value!r:.40}; expected a whole number from 0 to {most}")
-    units = {"reach": "a length in m, at most 1", "speed": "a speed in m/s, at most 10"}
-    for name in ("reach", "speed", "silence", "sample_age", "actuation_delay"):
-        value, longest = given[name], 10.0 if name == "speed" else 1.0
+    units = {
+        "reach": "a length in m, at most 1",
+        "speed": "a speed in m/s, at most 10",
+        "turning": "an angular velocity in rad/s, at most 1000",
+    }
+    for name in ("reach", "speed", "turning", "silence", "sample_age", "actuation_delay"):
+        value, longest = given[name], {"speed": 10.0, "turning": 1000.0}.get(name, 1.0)
         if value is None and PARAMETERS[name] is None:
             continue
         if not is_number(value) or not 0.0 < value <= longest:

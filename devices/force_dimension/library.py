@@ -11,6 +11,7 @@ Code in a library runs with the rights of its user, and nothing confines it.
 from __future__ import annotations
 
 import ctypes
+import math
 import os
 import platform
 import sys
@@ -64,6 +65,10 @@ PROTOTYPES: Final[dict[str, tuple[Any, tuple[Any, ...]]]] = {
     "dhdDeltaJointAnglesToJacobian": (c_int, (c_double, c_double, c_double, c_void_p, _ID)),
     "dhdDeltaJointTorquesExtrema": (c_int, (c_double, c_double, c_double, c_void_p, c_void_p, _ID)),
     "dhdSetDeltaJointTorques": (c_int, (c_double, c_double, c_double, _ID)),
+    "dhdHasWrist": (c_bool, (_ID,)),
+    "dhdHasActiveWrist": (c_bool, (_ID,)),
+    "dhdGetOrientationFrame": (c_int, (c_void_p, _ID)),
+    "dhdSetWristJointTorques": (c_int, (c_double, c_double, c_double, _ID)),
     "dhdGetForce": (c_int, (_D, _D, _D, _ID)),
     "dhdGetButtonMask": (c_uint, (_ID,)),
     "dhdGetComFreq": (c_double, (_ID,)),
@@ -123,6 +128,40 @@ def _places() -> list[str]:
     return [str(one) for one in sorted(folder.glob(f"{names[0].partition('.')[0]}.*"))] + names
 
 
+OFF_ROTATION: Final = 1e-3
+"""By how much R R^T may differ from 1 in any entry."""
+
+
+def is_rotation(rows: Sequence[float]) -> bool:
+    """Whether nine numbers, row by row, are those of a rotation."""
+    x, y, z = rows[0:3], rows[3:6], rows[6:9]
+    for i, one in enumerate((x, y, z)):
+        for other in (x, y, z)[i:]:
+            if not abs(sum(a * b for a, b in zip(one, other, strict=True)) - (one is other)) <= OFF_ROTATION:
+                return False  # so for NaN
+    return (
+        x[0] * (y[1] * z[2] - y[2] * z[1]) + x[1] * (y[2] * z[0] - y[0] * z[2]) + x[2] * (y[0] * z[1] - y[1] * z[0])
+        > 0.0
+    )  # and no mirror
+
+
+def quaternion(rows: Sequence[float]) -> list[float]:
+    """(w, x, y, z) of a rotation's nine numbers, row by row.
+
+    Of the four numbers, whose squares these traces are four times of, that of the greatest size divides.
+    """
+    a, b, c, d, e, f, g, h, i = rows
+    squares = (1.0 + a + e + i, 1.0 + a - e - i, 1.0 - a + e - i, 1.0 - a - e + i)
+    most = squares.index(max(squares))
+    products = (
+        (squares[0], h - f, c - g, d - b),
+        (h - f, squares[1], b + d, c + g),
+        (c - g, b + d, squares[2], f + h),
+        (d - b, c + g, f + h, squares[3]),
+    )[most]
+    return [product / (2.0 * math.sqrt(squares[most])) for product in products]
+
+
 class Kinematics:
     """What the library says of the device's mechanism: from counts to angles, place, and Jacobian. It moves nothing.
 
@@ -135,6 +174,7 @@ class Kinematics:
         self._q, self._x, self._force = (tuple(c_double() for _ in range(3)) for _ in range(3))
         self._counts = tuple(c_int() for _ in range(3))
         self._J, self._low, self._high = (c_double * 9)(), (c_double * 3)(), (c_double * 3)()
+        self._frame = (c_double * 9)()
 
     def called(self, function: str, *arguments: Any) -> int:
         """Call a function of this device, and return its answer.
@@ -176,6 +216,32 @@ class Kinematics:
         """The tip's position as the library gives it, m; the device is asked for it."""
         self.called("dhdGetPosition", *self._x)
         return [value.value for value in self._x]
+
+    @property
+    def wrist(self) -> bool:
+        """Whether it has a wrist, whose orientation it measures."""
+        return bool(self._library.dhdHasWrist(self.device))
+
+    @property
+    def active_wrist(self) -> bool:
+        """Whether that wrist has motors."""
+        return bool(self._library.dhdHasActiveWrist(self.device))
+
+    def frame(self) -> list[float]:
+        """The rotation from the axes of the wrist to those of places, its rows one after the other.
+
+        Raises:
+            ForceDimensionError: the device does not answer, or what it tells is no rotation.
+        """
+        self.called("dhdGetOrientationFrame", self._frame)
+        rows = list(self._frame)
+        if not is_rotation(rows):
+            told = ", ".join(f"{value:.3g}" for value in rows)
+            raise ForceDimensionError(
+                f"{self.name}: found an orientation frame of {told}; expected a rotation: see that its wrist is "
+                "calibrated, and tell us if it is"
+            )
+        return rows
 
     def force(self) -> list[float]:
         """The force that the library takes the motors to exert, N."""

@@ -12,6 +12,9 @@ waits for nothing but in one case: after a pause of the loop itself, in which no
 until when. At ``until`` the keeper sends that no force is to be exerted, though the loop is silent. A process that is
 stopped as a whole has no keeper either: then the service's own time counts, which is measured at the start.
 
+**A VerseGrip** is a grip without motors whose orientation and buttons come with the same frames. So its orientation is
+sensed, and costs a certificate nothing, however old it is. A frame without it leaves the one before.
+
 The keeper has the real-time priority of the loop, once the loop has one: otherwise a busy machine would end forces
 late, and let samples grow old.
 
@@ -41,9 +44,9 @@ from manyhands.devices.haply.service import (
     Reading,
     Speech,
     Vector,
-    buttons_in,
     decoded,
     devices,
+    grip_in,
     left_on,
     reading,
     switch,
@@ -54,7 +57,8 @@ from manyhands.devices.haply.work import MotorWork, same
 from manyhands.devices.starting import is_number, measured_times, merged
 from manyhands.extras import require
 from manyhands.nodes.device.plugin import PART, DeviceDriver
-from manyhands.nodes.device.specification import DeviceSpecification, DeviceTiming, up
+from manyhands.nodes.device.specification import DeviceSpecification, DeviceTiming, OrientationSpecification, up
+from manyhands.nodes.kernel.orientation import UPRIGHT
 from manyhands.nodes.kernel.realtime import schedule_as
 from manyhands.protocol.clock import Clock, Duration, Instant, RealtimeClock, from_seconds, seconds
 from manyhands.protocol.limits import MAX_SENTENCE
@@ -98,6 +102,8 @@ PARAMETERS: Final[Mapping[str, object]] = {
     "leave": (),
     "device_period": 0.00025,
     "silence": 0.02,
+    "grip": "",
+    "turning": 30.0,
     "sample_age": None,
     "actuation_delay": None,
 }
@@ -142,11 +148,21 @@ class HaplyInverse3(DeviceDriver):
         self._due = self._wakes = Instant(0)
         self._gone = ""
         self._buttons = 0  # of a VerseGrip, by the newest frame
+        self._turn: Sequence[float] | None = None  # its orientation, by the newest frame that had it
+        self._turned: Sequence[float] = UPRIGHT  # at the last sample
         self._newest: tuple[Instant, Reading, Vector] | None = None  # when its message was sent, and of which force
         self._work = MotorWork()
         self._told = self._sampled = 0.0, 0  # J, and what is unknown of it: as told last, and up to the sample
         self._counts = dict.fromkeys(
-            ("older_than_stated", "unsent_forces", "unasked_frames", "other_forces", "rate_warnings", "safety_events"),
+            (
+                "older_than_stated",
+                "unsent_forces",
+                "unasked_frames",
+                "other_forces",
+                "rate_warnings",
+                "safety_events",
+                "grip_missing",
+            ),
             0.0,
         )
         self._oldest = self._other_most = 0.0
@@ -182,6 +198,7 @@ class HaplyInverse3(DeviceDriver):
         while time.monotonic() < end:
             for text in self._channel.read():
                 if found := decoded(text):
+                    self._look_at_grip(found)
                     return devices(found)
             self._channel.wait(end - time.monotonic())
         raise HaplyError(
@@ -310,7 +327,12 @@ class HaplyInverse3(DeviceDriver):
             holds_torque=given["force_held"] == "torque",
             by_itself=by_itself,
             buttons=BUTTONS,
+            orientation=None if self._turn is None else OrientationSpecification(given["turning"]),
         )
+
+    def orientation(self) -> Sequence[float]:
+        """That of its VerseGrip, by the newest frame that had it; (w, x, y, z)."""
+        return self._turned
 
     def buttons(self) -> int:
         """The buttons of its VerseGrip that are held down by the newest frame."""
@@ -322,6 +344,7 @@ class HaplyInverse3(DeviceDriver):
         self._offset, self._heard = now - at, now
         self._read()
         newest = self._fresh(now)
+        self._turned = self._turn or UPRIGHT
         self._sampled = self._work.sum, self._work.unknown
         return [a - b for a, b in zip(newest.position, self._given["origin"], strict=True)]
 
@@ -413,7 +436,7 @@ class HaplyInverse3(DeviceDriver):
             return None
         sent, f = self._outstanding.popleft()
         frame = decoded(text)
-        self._buttons = buttons_in(frame)
+        self._look_at_grip(frame)
         device = devices(frame).get(self._id)
         now = None if device is None else reading(device)
         if device is None or now is None:
@@ -430,6 +453,15 @@ class HaplyInverse3(DeviceDriver):
                 self._counts["other_forces"] += 1
                 self._other_most = max(self._other_most, most)
         return device
+
+    def _look_at_grip(self, frame: Any) -> None:
+        """Take the buttons and the orientation of the VerseGrip from a frame."""
+        grip = grip_in(frame, self._given["grip"])
+        self._buttons = 0 if grip is None else grip.buttons
+        if grip is not None and grip.orientation is not None:
+            self._turn = grip.orientation
+        elif self._turn is not None:
+            self._counts["grip_missing"] += 1
 
     def _listen(self, events: Channel) -> None:
         try:
@@ -552,15 +584,15 @@ def _checked(parameters: Mapping[str, Any]) -> dict[str, Any]:
     for key in ("port", "events"):
         if type(given[key]) is not int or not 0 < given[key] < 65536:
             raise ValueError(f"{key}: found {given[key]!r:.40}; expected a port's number")
-    for key in ("force", "reach", "speed", "device_period", "silence", "sample_age", "actuation_delay"):
+    for key in ("force", "reach", "speed", "turning", "device_period", "silence", "sample_age", "actuation_delay"):
         if PARAMETERS[key] is None and given[key] is None:
             continue
         given[key] = _positive(key, given[key])
-    if not isinstance(given["device_id"], str):
-        raise ValueError(
-            f"device_id: found {given['device_id']!r:.40}; expected the id as text, in quotes: "
-            "YAML takes some ids for numbers"
-        )
+    for key in ("device_id", "grip"):
+        if not isinstance(given[key], str):
+            raise ValueError(
+                f"{key}: found {given[key]!r:.40}; expected the id as text, in quotes: YAML takes some ids for numbers"
+            )
     if given["force_held"] not in ("torque", "firmware"):
         raise ValueError(f"force_held: found {given['force_held']!r:.40}; expected torque or firmware")
     if not isinstance(given["leave"], list | tuple) or (set(map(str, given["leave"])) - set(_GLOBAL)):

@@ -16,6 +16,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
+from manyhands.nodes.device.plugin import OFF_UNIT
+
 AXES: Final = ("x", "y", "z")
 JOINTS: Final = ("a0", "a1", "a2")
 FAMILY: Final = "inverse3"
@@ -125,18 +127,44 @@ BUTTONS: Final = ("a", "b", "c")
 GRIPS: Final = ("wireless_verse_grip", "verse_grip")
 
 
-def buttons_in(frame: Any) -> int:
-    """The buttons of the first VerseGrip of a frame that are held down, by the order of :data:`BUTTONS`."""
+QUATERNION: Final = ("w", "x", "y", "z")
+
+
+@dataclass(frozen=True)
+class Grip:
+    """What a frame says of a VerseGrip.
+
+    Attributes:
+        buttons: those that are held down, bit by bit in the order of :data:`BUTTONS`.
+        orientation: (w, x, y, z), the rotation from the grip's axes to those of positions (x to the right, y forward, z
+            up); None where the frame has no unit quaternion.
+    """
+
+    buttons: int
+    orientation: tuple[float, ...] | None
+
+
+def grip_in(frame: Any, wanted: str = "") -> Grip | None:
+    """The VerseGrip of a frame with the id ``wanted``, or the first one where that is empty; None without it."""
     for family in GRIPS:
         listed = frame.get(family) if isinstance(frame, dict) else None
         for grip in listed if isinstance(listed, list) else []:
             state = grip.get("state") if isinstance(grip, dict) else None
-            if not isinstance(state, dict):
+            if not isinstance(state, dict) or (wanted and str(grip.get("device_id")) != wanted):
                 continue
             told = state.get("buttons")
             told = told if isinstance(told, dict) else {"a": state.get("button")}
-            return sum(1 << i for i, name in enumerate(BUTTONS) if told.get(name) is True)
-    return 0
+            held = sum(1 << i for i, name in enumerate(BUTTONS) if told.get(name) is True)
+            return Grip(held, _rotation(state.get("orientation")))
+    return None
+
+
+def _rotation(told: Any) -> tuple[float, ...] | None:
+    try:
+        q = tuple(float(told[name]) for name in QUATERNION)
+    except (TypeError, KeyError, ValueError):
+        return None
+    return q if abs(math.hypot(*q) - 1.0) <= OFF_UNIT else None  # not for NaN
 
 
 def decoded(text: str) -> Any:

@@ -328,7 +328,7 @@ def budget_object(found: DelayBudget) -> dict[str, Any]:
             }
             for device in found.devices
         },
-        **({"orientations": {name: {"limit": most, "stiffness": own} for name, most, own in turned}} if turned else {}),
+        **({"orientations": {name: _plain_orientation(most, own) for name, most, own in turned}} if turned else {}),
         **({"series": [asdict(row) for row in in_series]} if (in_series := series_budget(found)) else {}),
         **({"steps": [asdict(row) for row in of_steps]} if (of_steps := step_budget(found)) else {}),
     }
@@ -491,27 +491,32 @@ def print_budget(console: Console, found: DelayBudget, own_mark: str = " (sessio
         longest = f"{1.0 + loop.period_tolerance:g}"
         console.print(f"Periods may be up to {longest} T long, Colgate's as well as ours.", markup=False)
     for name, most, stated in orientation_limits(loop):
-        console.print(
-            f"The orientation of {name}: certified up to {most:.4g} N·m/rad at τ = {_ms(loop.tau)} ms; the session has "
-            f"{stated:.4g} N·m/rad.",
-            markup=False,
-            soft_wrap=True,
-        )
+        k = f"{stated:.4g} N·m/rad"
+        if most is None:
+            limit = f"sensed, without a torque; any delay allows the session's {k} of its tool"
+        else:
+            limit = f"certified up to {most:.4g} N·m/rad at τ = {_ms(loop.tau)} ms; the session has {k}"
+        console.print(f"The orientation of {name}: {limit}.", markup=False, soft_wrap=True)
     if of_session:
         console.print(_environment_text(found), markup=False, soft_wrap=True)
 
 
-def orientation_limits(loop: HapticLoop) -> list[tuple[str, float, float]]:
-    """By device whose orientation is a port: the stiffest spring that its osp allows, and its own, N·m/rad."""
-    return [
-        (
-            device.name,
-            stiffest(device.orientation.osp, loop.period, loop.tau, loop.period_tolerance, 0.0),
-            device.orientation.stiffness,
-        )
-        for device in loop.devices
-        if device.orientation is not None
-    ]
+def _plain_orientation(most: float | None, own: float) -> dict[str, Any]:
+    return {"sensed": True, "stiffness": own} if most is None else {"limit": most, "stiffness": own}
+
+
+def orientation_limits(loop: HapticLoop) -> list[tuple[str, float | None, float]]:
+    """By device whose orientation is a port: the stiffest spring that its osp allows, and its own, N·m/rad.
+
+    One whose orientation is sensed has no such limit: None.
+    """
+    found: list[tuple[str, float | None, float]] = []
+    for device in loop.devices:
+        if (of := device.orientation) is not None:
+            osp = of.osp
+            most = None if osp is None else stiffest(osp, loop.period, loop.tau, loop.period_tolerance, 0.0)
+            found.append((device.name, most, of.stiffness))
+    return found
 
 
 def print_wave_links(console: Console, found: Sequence[WaveLinkBudget]) -> None:

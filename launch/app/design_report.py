@@ -132,6 +132,11 @@ def held_text(loop: HapticLoop, device: DeviceLevel, held: HeldTorque) -> str:
 
 def orientation_text(loop: HapticLoop, name: str, of: OrientationLevel) -> str:
     """What is proved of an orientation, in words."""
+    if of.osp is None:
+        return (
+            f"{name}: sensed; its tool follows it at k = {of.stiffness:.4g} N·m/rad, no torque acts on the hand, and "
+            "nothing is needed"
+        )
     needed = float(of.needed(loop.period, loop.tau, loop.period_tolerance))
     return (
         f"{name}: k = {of.stiffness:.4g} N·m/rad at the hand, on all of SO(3); its torque needs {needed:.4g} of "

@@ -91,6 +91,7 @@ def _session(path: Path, run: RecordedRun, folder: Path) -> Session:
         ("masses", session.environment.reported(session.ports), tuple(recorded.masses)),
         ("orientations", session.environment.oriented, tuple(recorded.oriented)),
         ("devices whose orientation is a port", session.hands, tuple(recorded.hands)),
+        ("devices whose orientation is sensed", session.sensed_hands, tuple(recorded.sensed)),
     ):
         if found != expected:
             raise RecordingError(

@@ -88,6 +88,9 @@ def promises_of(prepared: Prepared, run: RecordedRun, checks: Sequence[Check]) -
         row = _row(run, promise, party, state, missing or about)
         key = promise.value, row.who
         rows[key] = _graver(rows.get(key), row)
+    if not run.ticks:  # nothing happened that could have broken a promise, so none was kept
+        kept = PromiseState.KEPT.value
+        return most_grave(row for row in rows.values() if row.state != kept or row.promise == Promise.CERTIFICATE)
     return most_grave(rows.values())
 
 

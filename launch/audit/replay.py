@@ -30,9 +30,10 @@ from manyhands.launch.session import PERSONS, Session
 from manyhands.nodes.device.drivers import Driver, driver_of
 from manyhands.nodes.environment.model import ModelFailure
 from manyhands.nodes.kernel.bundle import SIMULATED, DeviceBundle
+from manyhands.nodes.kernel.orientation import UPRIGHT, Quaternion
 from manyhands.nodes.recorder.coverage import Coverage
 from manyhands.nodes.rows.units import unit_of_all
-from manyhands.protocol.channels import DISPLACEMENT, LEDGER, TAU
+from manyhands.protocol.channels import DISPLACEMENT, LEDGER, ORIENTATION, TAU
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.messages import Figures
 
@@ -71,6 +72,7 @@ class GivenMotion:
         applied: NDArray[np.float64] | None = None,
         work: NDArray[np.float64] | None = None,
         pressed: Mapping[int, int] = MappingProxyType({}),
+        turned: NDArray[np.float64] | None = None,
     ) -> None:
         """Move as ``x`` at the samples, and as ``applied`` when a force is applied.
 
@@ -79,7 +81,9 @@ class GivenMotion:
             applied: likewise; NaN in ticks in which it is not known. None for ``x``.
             work: of motors that hold torques, until the sample and from then until the force, ticks x 2, J.
             pressed: by tick, the buttons that are held down from then on.
+            turned: its orientation at the samples, ticks x 4; None where that is no port.
         """
+        self._turned = turned
         self._presses, self._pressed = pressed, 0
         self._work, self._called = work, 0
         self._x, self._applied, self._tick = x, x if applied is None else applied, 0
@@ -103,6 +107,17 @@ class GivenMotion:
         self._called = 1
         row: list[float] = self._applied[self._tick].tolist()
         return row if all(map(math.isfinite, row)) else None
+
+    def apply_wrench(
+        self, f: Sequence[float], torque: Sequence[float], at: Instant, until: Instant | None = None
+    ) -> list[float] | None:
+        """Force and torque have no effect; returns as :meth:`apply`."""
+        return self.apply(f, at, until)
+
+    def orientation(self) -> Quaternion:
+        """The orientation at the tick of the last sample; upright where it is not known."""
+        row = [] if self._turned is None else self._turned[self._tick].tolist()
+        return Quaternion(*row) if all(map(math.isfinite, row)) else UPRIGHT
 
     def release(self, at: Instant) -> list[float] | None:
         """There is no force to release; returns the position as :meth:`apply`."""
@@ -240,6 +255,7 @@ def replay(prepared: Prepared, run: RecordedRun, progress: Callable[[int], None]
         name: GivenMotion(
             rows_of(run, name, DISPLACEMENT),
             pressed=pressed_in(run.figures.get(name, ()), prepared.session.buttons_at[name]),
+            turned=rows_of(run, name, ORIENTATION) if name in prepared.session.hands else None,
         )
         for name in given
     }
@@ -300,4 +316,4 @@ def _compared(run: RecordedRun, ticks: int, traces: Traces, given: Sequence[str]
 
 def _believed(trace: RecordedTrace, given: bool) -> bool:
     """Whether a topic is taken from the recording: the motion of a device that a person moved, and its ledger."""
-    return given and trace.topic.trace in (DISPLACEMENT, LEDGER)
+    return given and trace.topic.trace in (DISPLACEMENT, ORIENTATION, LEDGER)

@@ -148,6 +148,16 @@ class LinkInside:
         """The user's buttons that are held down, as the world knows; none of a user who is silent."""
         return 0 if self.world.holding else self.world.heard
 
+    @property
+    def at_world_rides(self) -> Sequence[float]:
+        """What rides with the user's motion, as the world knows; nothing of a user who is silent."""
+        return () if self.world.holding else self.world.ridden
+
+    @property
+    def at_user_rides(self) -> Sequence[float]:
+        """What rides with the world's force, as the user knows; nothing of a world that is silent."""
+        return () if self.user.holding else self.user.ridden
+
     def book(self) -> None:
         """Nothing is left to do."""
 
@@ -163,13 +173,20 @@ class LinkInside:
         self.world.renew(0)
 
 
+def _by_hand(hands: Sequence[str], riders: Sequence[float]) -> dict[str, Sequence[float]]:
+    """What rides of each of these devices; nothing rides where there are no ``riders``."""
+    if not riders:
+        return dict.fromkeys(hands, NO_RIDER)
+    return {hand: riders[RIDER * i : RIDER * (i + 1)] for i, hand in enumerate(hands)}
+
+
 def _carry(sender: UserFace | WorldFace, hearer: UserFace | WorldFace, way: WavesUnderWay | None) -> None:
     """Send a wave: it arrives at once, or goes under way."""
     wave = sender.message()
     if way is None:
-        hearer.hear(wave.n, wave.U, wave.G, buttons=wave.buttons)
+        hearer.hear(wave.n, wave.U, wave.G, buttons=wave.buttons, riders=wave.riders)
     else:
-        way.send((wave.n, [*wave.U], wave.G, 0, wave.buttons))
+        way.send((wave.n, [*wave.U], wave.G, 0, wave.buttons, wave.riders))
 
 
 def _arrive(way: WavesUnderWay | None, hearer: UserFace | WorldFace, by: float) -> None:
@@ -317,6 +334,7 @@ class Simulation:
         for name, way in ways.items():
             if name in self.links:
                 self.links[name].user.buttons = self._pressed(name)
+                self.links[name].user.riders = tuple(n for of in self._riding[name] for n in self.devices[of].rides)
             p: Floats = sent[ports[name]].tolist()
             for port in way:
                 p = port.up(p)
@@ -329,25 +347,33 @@ class Simulation:
         environment.settle()
         for name, way in ways.items():
             force: Floats = f[ports[name]].tolist()
+            if name in self.links:
+                self.links[name].world.riders = tuple(n for of in self._riding[name] for n in came[of])
             for port in reversed(way):
                 force = port.down(force)
                 port.book()
             f[ports[name]] = force
+            if name in self.links:
+                came |= _by_hand(self._riding[name], self.links[name].at_user_rides)
         for name, device in self.devices.items():
             f[ports[name]] = device.exert(f[ports[name]].tolist(), now, came=came.get(name, NO_RIDER))
             device.book()
             device.driver.idle(due)
         return x, f
 
-    def _respond(self, k: int, tool: Array, ways: Iterable[str]) -> tuple[Array, Mapping[str, Floats]]:
-        """The forces of the environment, N, and by device what comes with them for its orientation."""
-        there = {name for way in ways for name in self._riding[way]}
-        riders = [n for name in self._hands for n in (self.devices[name].rides if name in there else NO_RIDER)]
+    def _respond(self, k: int, tool: Array, ways: Iterable[str]) -> tuple[Array, dict[str, Sequence[float]]]:
+        """The forces of the environment, N, and by device what it says with them for its orientation."""
+        heard: dict[str, Sequence[float]] = {}
+        for way in ways:
+            if way in self.links:
+                heard |= _by_hand(self._riding[way], self.links[way].at_world_rides)
+            else:
+                heard |= {name: self.devices[name].rides for name in self._riding[way]}
+        riders = [n for name in self._hands for n in heard.get(name, NO_RIDER)]
         answer = respond(self.environment, tool.tolist() + riders, k)
         m = len(tool)
-        told = (answer[at : at + RIDER] for at in range(m, len(answer), RIDER))
-        came = {name: own for name, own in zip(self._hands, told, strict=True) if name in there}
-        return np.array(answer[:m]), came
+        told = [answer[at : at + RIDER] for at in range(m, len(answer), RIDER)]
+        return np.array(answer[:m]), {name: own for name, own in zip(self._hands, told, strict=True) if name in heard}
 
     def _pressed(self, name: str) -> int:
         """The buttons that are held down of the devices of a coupling, among all, or of one device."""

@@ -44,7 +44,8 @@ from manyhands.nodes.recorder.format import (
     object_schema,
     recorded_of,
 )
-from manyhands.nodes.recorder.scene_messages import SCENE_SCHEMAS, SpaceMessages
+from manyhands.nodes.recorder.hand_messages import HandMessages
+from manyhands.nodes.recorder.scene_messages import SpaceMessages
 from manyhands.protocol.channels import CONDITION, TELEMETRY, topic_name
 from manyhands.protocol.clock import Instant, RealtimeClock
 from manyhands.protocol.messages import Condition, Observation
@@ -132,9 +133,8 @@ class LiveMessages:
         self._topics = {node: list(about.topics(node)) for node in about.nodes}
         channels = [self._recorded.channel(node, topic) for node in about.nodes for topic in self._topics[node]]
         channels += [self._recorded.channel(node, TELEMETRY) for node in about.nodes]
-        self._scene = self._recorded.scene_messages()
-        if self._scene is not None:
-            channels += [self._recorded.channel(self._scene.node, topic) for topic in SCENE_SCHEMAS]
+        self._shown = self._recorded.space_messages()
+        channels += [self._recorded.channel(node, topic) for node, one in self._shown.items() for topic in one.topics]
         channels.append(self._recorded.channel(SUPERVISOR, CONDITION))
         condition = channels[-1]
         self._health = topic_name(about.session, SUPERVISOR, HEALTH)
@@ -189,18 +189,22 @@ class LiveMessages:
                 _, pieces = trace_messages(topic, ticks, values[kept])
                 for then, *message in zip(ticks.times.tolist(), *pieces, strict=True):
                     yield LiveMessage(name, then, b"".join(message))
-        if self._scene is not None and node == self._scene.node:
-            yield from self._shown(observation, self._scene, self.time.start, wanted)
+        if node in self._shown:
+            yield from self._in_space(observation, self._shown[node], self.time.start, wanted)
         name = topic_name(session, node, TELEMETRY)
         if observation.figures and wanted(name):
             yield LiveMessage(name, at, encode_figures(tick, observation.figures))
 
-    def _shown(
-        self, observation: Observation, scene: SpaceMessages, start: int, wanted: Callable[[str], bool]
+    def _in_space(
+        self,
+        observation: Observation,
+        shown: SpaceMessages | HandMessages,
+        start: int,
+        wanted: Callable[[str], bool],
     ) -> Iterator[LiveMessage]:
-        """What shows the scene, from traces that fit the session."""
+        """What shows the scene, or a device that its hand turns, from traces that fit the session."""
         node, tick, traces = observation.node, observation.tick, observation.traces
-        full = {topic: topic_name(self._recorded.session, node, topic) for topic in SCENE_SCHEMAS}
+        full = {topic: topic_name(self._recorded.session, node, topic) for topic in shown.topics}
         topics = [topic for topic, name in full.items() if wanted(name)]
         widths = {topic.trace: len(self._recorded.columns(node, topic)) for topic in self._topics[node]}
         if not topics:
@@ -210,7 +214,7 @@ class LiveMessages:
         ):
             self.unfit += 1
             return
-        for made in scene.of(tick, traces, start, topics):
+        for made in shown.of(tick, traces, start, topics):
             yield LiveMessage(full[made.topic], made.time, made.data)
 
     def _conditioned(self, condition: Condition, wall: int, wanted: Callable[[str], bool]) -> Iterator[LiveMessage]:

@@ -23,7 +23,7 @@ from manyhands.launch.files import TargetError, require_target
 from manyhands.nodes.environment.drawing import WorldDrawing
 from manyhands.nodes.monitor.session_state import About
 from manyhands.nodes.recorder.format import FIGURES, SUPERVISOR, Recorded
-from manyhands.nodes.recorder.scene_messages import SCENE
+from manyhands.nodes.recorder.scene_messages import POSE, SCENE
 from manyhands.nodes.rows.figures import FIGURES as DECLARED
 from manyhands.nodes.rows.units import unit_of_all
 from manyhands.protocol.channels import CONDITION, TELEMETRY, Columns, Topic, topic_name
@@ -74,6 +74,7 @@ _PAGES: Final[Mapping[str, Mapping[str, tuple[str, ...]]]] = {
         "forces": ("force", "reaction"),
         "masses": ("masses",),
     },
+    "turning": {"orientations of devices and tools": ("orientation", "proxy"), "torques": ("torque",)},
     "promises": {"ledgers": ("ledger",), "accounts of lateness": ("interface",), "delays": ("tau",)},
     "wave links": {"waves": ("wave",), "tanks": ("tank",)},
 }
@@ -188,7 +189,11 @@ def _foxglove_scene(recorded: Recorded, space: ContactScene | WorldDrawing) -> d
             "near": 0.01,
             "far": 5000,
         },
-        "topics": {topic_name(recorded.session, node, SCENE): {"visible": True} for node in environments},
+        "topics": {
+            topic_name(recorded.session, node, topic): {"visible": True}
+            for nodes, topic in ((environments, SCENE), (recorded.hands, POSE))
+            for node in nodes
+        },
         "transforms": {},
         "layers": {},
         "scene": {},

@@ -26,18 +26,18 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
 
 from manyhands.extras import require
 from manyhands.launch.bridges.rosbag import (
-    CARTESIAN,
     LATEST,
     POSE,
     RosTopic,
     device_topics,
+    joined,
     motion_rows,
     ros_name,
     ros_types,
@@ -49,9 +49,10 @@ from manyhands.launch.look.page.pointer import DEMANDS_PER_S, Hold, Holding, hol
 from manyhands.launch.look.page.security import ViewError, is_loopback
 from manyhands.launch.recordings.recording import Array
 from manyhands.launch.run.running import Running
+from manyhands.nodes.kernel.orientation import unit
 from manyhands.nodes.monitor.session_state import About, LiveSession
-from manyhands.nodes.recorder.format import recorded_of
-from manyhands.protocol.channels import DISPLACEMENT, FORCE
+from manyhands.nodes.recorder.format import CARTESIAN, recorded_of
+from manyhands.protocol.channels import AXIS_NAMES, DISPLACEMENT, FORCE, ORIENTATION, QUATERNION_NAMES, TORQUE
 from manyhands.protocol.clock import Clock, Instant, RealtimeClock
 from manyhands.protocol.messages import Observation, Role
 
@@ -77,6 +78,7 @@ MOST_SAMPLES: Final = 16
 MOST_TICKS: Final = 256
 """The ticks of a device that wait for the force of one of its couplings, at most."""
 
+_OF_TURNS: Final = ((ORIENTATION, len(QUATERNION_NAMES)), (TORQUE, len(AXIS_NAMES)))
 _ATTACHMENT: Final = struct.Struct("<qqB16s")  # sequence number, ns since 1970, length of the id, the id
 _ID_BYTES: Final = 16
 _PUBLISHED: Final = "2::,10:,:,:,,"  # quality of service: best effort, volatile, the last ten
@@ -165,10 +167,11 @@ def holdable(about: About) -> tuple[str, ...]:
     return tuple(device for device, own in ports.items() if len(own) <= CARTESIAN and not {*own} & {*about.turning})
 
 
-def read_pose(data: bytes) -> tuple[str, tuple[float, float, float]] | None:
-    """The frame and the position (m) of a geometry_msgs/PoseStamped; None where these bytes are no such message.
+def read_pose(data: bytes) -> tuple[str, tuple[float, float, float], tuple[float, float, float, float]] | None:
+    """The frame, the position (m) and the orientation (w, x, y, z) of a geometry_msgs/PoseStamped.
 
-    The encapsulation is that of plain CDR, of either byte order. The orientation must be there, and is not used.
+    None where these bytes are no such message. The encapsulation is that of plain CDR, of either byte order. The four
+    numbers of the orientation must be there, whatever they are.
     """
     if len(data) > MAX_SERVO_BYTES or len(data) < 4 or data[0] != 0 or data[1] > 1:
         return None
@@ -182,7 +185,8 @@ def read_pose(data: bytes) -> tuple[str, tuple[float, float, float]] | None:
         frame = body[12 : end - 1].decode()
     except (struct.error, UnicodeDecodeError):
         return None
-    return frame, numbers[:3]
+    x, y, z, w = numbers[3:]
+    return frame, numbers[:3], (w, x, y, z)
 
 
 @dataclass(frozen=True)
@@ -226,7 +230,7 @@ class RosMessages:
         """
         self._recorded, self._session, self._every = recorded_of(about), LiveSession(about), every
         self._time, self.unfit = SessionTime(self._recorded), 0
-        self._devices = device_topics(about.session, self._recorded.devices, about.turning)
+        self._devices = device_topics(about.session, self._recorded.devices, about.turning, about.hands)
         parts = (part for parts in self._devices.values() for part in parts)
         live = ((one.motion, one.exerted, one.sent) for one in parts)  # a bag alone has velocities
         self.topics = [topic for topics in live for topic in topics if topic is not None]
@@ -274,11 +278,21 @@ class RosMessages:
             self.unfit += 1
             f = None
         for part in self._devices[node]:
-            if x is not None and wanted(part.motion):
-                forces = None if f is None else part.of(f[1])
-                yield from self._messages(part.motion, x[0], motion_rows(part.motion, part.of(x[1]), None, forces))
-            if f is not None and part.exerted is not None and wanted(part.exerted):
-                yield from self._messages(part.exerted, f[0], part.of(f[1]))
+            moved, exerted = (None if kept is None else part.of(kept[1]) for kept in (x, f))
+            if part.motion.oriented:
+                R, torque = (self._kept(observation, name, w) for name, w in _OF_TURNS)
+                moved, exerted = self._joined(moved, R), self._joined(exerted, torque)
+            if x is not None and moved is not None and wanted(part.motion):
+                yield from self._messages(part.motion, x[0], motion_rows(part.motion, moved, None, exerted))
+            if f is not None and exerted is not None and part.exerted is not None and wanted(part.exerted):
+                yield from self._messages(part.exerted, f[0], exerted)
+
+    def _joined(self, values: Array | None, turn: tuple[list[int], Array] | None) -> Array | None:
+        """The rows of an oriented topic; None where one of both is missing, or has other ticks."""
+        if values is not None and turn is not None and len(turn[1]) != len(values):
+            self.unfit += 1
+            return None
+        return joined(values, None if turn is None else turn[1])
 
     def _sent(self, observation: Observation, wanted: Callable[[RosTopic], bool]) -> Iterator[RosMessage]:
         """The forces of a coupling; a tick is complete when every coupling of the device has shown it."""
@@ -370,13 +384,16 @@ class Servo:
         if pose is None or not all(map(math.isfinite, pose[1])):
             self.refused["servo_no_pose"] += 1
             return None
-        frame, position = pose
+        frame, position, orientation = pose
         if frame not in ("", device):
             self.refused["servo_other_frame"] += 1
             return None
         # the nearest point that the device can reach: it has no extent along axes that it does not have
         hold = hold_of(device, position[: len(self._about.nodes[device].ports)], self._about)
-        return hold if isinstance(hold, Hold) else None
+        if not isinstance(hold, Hold):
+            return None
+        # an orientation that is none turns nothing, as one of a device that has none
+        return replace(hold, turn=unit(orientation)) if device in self._about.hands else hold
 
 
 @dataclass(frozen=True)

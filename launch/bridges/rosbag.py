@@ -5,15 +5,17 @@ The topics and their messages (:func:`device_topics`, :func:`serialiser`) are al
 four messages, stamped with the tick's time:
 
 - ``measured_cp`` (geometry_msgs/PoseStamped), of a device with three axes that translate: x, in the device's own frame,
-  whose axes are those of the device in their order. It has no orientation to report; the pose has that of the frame.
-- ``measured_cv`` (geometry_msgs/TwistStamped), of such a device: its velocity (x(k) - x(k-1))/T, m/s. A device in wall
-  time has the difference of the recorded instants in place of T. After a missing tick there is none.
+  whose axes are those of the device in their order. The orientation is that of the device, where it is a port, in the
+  world's axes; of any other it is that of the frame.
+- ``measured_cv`` (geometry_msgs/TwistStamped), of such a device: its velocity (x(k) - x(k-1))/T, m/s, and where its
+  orientation is a port the turn from tick to tick, likewise, rad/s. A device in wall time has the difference of the
+  recorded instants in place of T. After a missing tick there is none.
 - ``measured_js`` (sensor_msgs/JointState), of every other device: x, its velocity and the exerted force by axis, m, m/s
   and N; rad, rad/s and N·m of an axis that turns. A pose would state coordinates that such a device does not have.
-- ``measured_cf`` (geometry_msgs/WrenchStamped): the force that the device exerted on the hand, N; of an axis that turns
-  the torque, N·m.
+- ``measured_cf`` (geometry_msgs/WrenchStamped): the force that the device exerted on the hand, N; the torque of an axis
+  that turns, and of an orientation that is a port, N·m.
 - ``servo_cf`` (geometry_msgs/WrenchStamped): the force that its couplings sent it, N. The device's limits, and what
-  bounds the cost of lateness, stand between the two.
+  bounds the cost of lateness, stand between the two. No torque is sent: the device finds it itself.
 
 A device of more than three axes has ``servo_jf`` (JointState, effort alone) in place of the last two. An axis that
 turns beside others, as a jaw, has ``AXIS/measured_js`` and ``AXIS/servo_jf`` besides, as CRTK has the jaw of a gripper;
@@ -42,14 +44,12 @@ from manyhands.extras import require
 from manyhands.launch.recordings.formats import Progress
 from manyhands.launch.recordings.recording import Array, RecordingError
 from manyhands.launch.recordings.run import RecordedRun, Traces, chosen
-from manyhands.protocol.channels import DISPLACEMENT, FORCE
+from manyhands.nodes.recorder.format import CARTESIAN
+from manyhands.protocol.channels import DISPLACEMENT, FORCE, ORIENTATION, TORQUE
 from manyhands.protocol.messages import Role
 
 ROSBAG: Final = "rosbag"
 """The name of the format, and the suffix of a bag's folder."""
-
-CARTESIAN: Final = 3
-"""The number of axes of a device whose position is a point in space."""
 
 POSE: Final = "geometry_msgs/msg/PoseStamped"
 TWIST: Final = "geometry_msgs/msg/TwistStamped"
@@ -73,6 +73,7 @@ class RosTopic:
         device: whose it is; also the name of the frame.
         axes: names of those of the device's axes that it is about.
         turning: those of them that turn.
+        oriented: whether its messages hold an orientation, or what belongs to one, behind the numbers of the axes.
     """
 
     name: str
@@ -80,6 +81,7 @@ class RosTopic:
     device: str
     axes: tuple[str, ...]
     turning: tuple[str, ...] = ()
+    oriented: bool = False
 
 
 class AxesTopics(NamedTuple):
@@ -105,7 +107,7 @@ class AxesTopics(NamedTuple):
 
 
 def device_topics(
-    session: str, devices: Mapping[str, tuple[str, ...]], turning: Collection[str] = ()
+    session: str, devices: Mapping[str, tuple[str, ...]], turning: Collection[str] = (), hands: Collection[str] = ()
 ) -> dict[str, tuple[AxesTopics, ...]]:
     """The topics of the devices of a session, by device: of all its axes, and then of some.
 
@@ -113,6 +115,7 @@ def device_topics(
         session: its name.
         devices: names of the axes of each device.
         turning: the axes that turn.
+        hands: the devices whose orientation is a port.
 
     Raises:
         RecordingError: two devices, or two axes of one, would have one namespace.
@@ -133,7 +136,7 @@ def device_topics(
         space = space_of("devices", device, f"/{ros_name(session)}/{ros_name(device)}")
         turn = [place for place, axis in enumerate(axes) if axis in turning]
         straight = [place for place in range(len(axes)) if place not in turn]
-        found = [_topics_of(space, device, axes, range(len(axes)), turn)]
+        found = [_topics_of(space, device, axes, range(len(axes)), turn, oriented=device in hands)]
         if turn and len(axes) > 1:
             found += [_topics_of(space, device, axes, straight)] if len(straight) == CARTESIAN else []
             for place in turn:
@@ -145,9 +148,18 @@ def device_topics(
 
 
 def _topics_of(
-    space: str, device: str, axes: tuple[str, ...], places: Sequence[int], turn: Sequence[int] = (), joint: bool = False
+    space: str,
+    device: str,
+    axes: tuple[str, ...],
+    places: Sequence[int],
+    turn: Sequence[int] = (),
+    joint: bool = False,
+    oriented: bool = False,
 ) -> AxesTopics:
-    """The topics in a namespace of the axes at ``places``; ``joint`` where efforts say what they exert and are sent."""
+    """The topics in a namespace of the axes at ``places``; ``joint`` where efforts say what they exert and are sent.
+
+    ``oriented`` where the device has an orientation besides; it has the three coordinates of a pose then.
+    """
     point = len(places) == CARTESIAN and not turn
     wrench = len(places) <= CARTESIAN and not joint
     motion = ("measured_cp", POSE) if point else ("measured_js", JOINTS)
@@ -155,14 +167,15 @@ def _topics_of(
     own = tuple(axes[place] for place in places)
     turning = tuple(axes[place] for place in places if place in turn)
 
-    def topic(name: str, kind: str) -> RosTopic:
-        return RosTopic(f"{space}/{name}", kind, device, own, turning)
+    def topic(name: str, kind: str, oriented: bool = False) -> RosTopic:
+        return RosTopic(f"{space}/{name}", kind, device, own, turning, oriented)
 
+    turns = oriented and point
     return AxesTopics(
         tuple(places),
-        topic(*motion),
-        topic("measured_cv", TWIST) if point else None,
-        topic("measured_cf", WRENCH) if wrench else None,
+        topic(*motion, turns),
+        topic("measured_cv", TWIST, turns) if point else None,
+        topic("measured_cf", WRENCH, turns) if wrench else None,
         topic(*sent),
     )
 
@@ -170,7 +183,7 @@ def _topics_of(
 def motion_rows(topic: RosTopic, x: Array, v: Array | None, f: Array | None) -> Array:
     """The rows of a device's motion: of a JointState with its velocities and the forces that it exerted, NaN for None.
 
-    Each is ticks x axes, m, m/s and N.
+    Each is ticks x axes, m, m/s and N. A pose with an orientation has that behind x already.
     """
     if topic.type == POSE:
         return x
@@ -179,7 +192,19 @@ def motion_rows(topic: RosTopic, x: Array, v: Array | None, f: Array | None) -> 
 
 def whole_rows(topic: RosTopic, values: Array) -> NDArray[np.bool_]:
     """The rows that have a message: all finite; a velocity or an effort beside a position may be missing."""
-    return np.asarray(np.isfinite(values[:, : len(topic.axes)]).all(axis=1), dtype=np.bool_)
+    needed = len(topic.axes) if topic.type == JOINTS else values.shape[1]
+    return np.asarray(np.isfinite(values[:, :needed]).all(axis=1), dtype=np.bool_)
+
+
+def joined(values: Array | None, turn: Array | None) -> Array | None:
+    """The rows of an oriented topic: what belongs to its orientation behind what belongs to its axes.
+
+    None where one of them is not there; rows that one lacks have no message.
+    """
+    if values is None or turn is None:
+        return None
+    rows = min(len(values), len(turn))
+    return np.hstack([values[:rows], turn[:rows]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,7 +215,7 @@ class Stream:
         topic: the topic.
         tick: the device's tick of the first row.
         tick_ns: its T, ns.
-        values: ticks x columns: what its messages hold, m, m/s or N.
+        values: ticks x columns: what its messages hold, m, m/s or N, and of an orientation 1, rad/s or N·m.
     """
 
     topic: RosTopic
@@ -206,7 +231,7 @@ def streams_of(run: RecordedRun, traces: Traces) -> list[Stream]:
         RecordingError: two devices would have one namespace, or no trace is a device's motion or force.
     """
     recorded, out = run.recorded, []
-    topics = device_topics(recorded.session, recorded.devices, recorded.turning)
+    topics = device_topics(recorded.session, recorded.devices, recorded.turning, recorded.hands)
     for device, parts in topics.items():
         whole = {name: _trace_of(traces, device, name) for name in (DISPLACEMENT, FORCE)}
         speed = None if whole[DISPLACEMENT] is None else run.velocity_of(device)
@@ -217,6 +242,10 @@ def streams_of(run: RecordedRun, traces: Traces) -> list[Stream]:
                 None if values is None else part.of(values)
                 for values in (whole[DISPLACEMENT], whole[FORCE], speed, commanded)
             )
+            if part.motion.oriented:
+                R, torque = (_trace_of(traces, device, name) for name in (ORIENTATION, TORQUE))
+                x, f = joined(x, R), joined(f, torque)
+                v = joined(v, None if R is None else run.angular_velocity_of(device))
             found = [
                 (part.motion, None if x is None else motion_rows(part.motion, x, v, f)),
                 (part.velocity, v),
@@ -300,13 +329,16 @@ def serialiser(typestore: Any, topic: RosTopic) -> Serialise:
     header, stamp = types["std_msgs/msg/Header"], types["builtin_interfaces/msg/Time"]
     vector, message = types["geometry_msgs/msg/Vector3"], types[name]
     point, pose = types["geometry_msgs/msg/Point"], types["geometry_msgs/msg/Pose"]
-    upright, wrench = types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0), types["geometry_msgs/msg/Wrench"]
+    quaternion, wrench = types["geometry_msgs/msg/Quaternion"], types["geometry_msgs/msg/Wrench"]
+    upright = quaternion(0.0, 0.0, 0.0, 1.0)
     twist = types["geometry_msgs/msg/Twist"]
     no_turn, none, axes = vector(0.0, 0.0, 0.0), np.empty(0), list(topic.axes)
     turns = [axis in topic.turning for axis in topic.axes]
     effort_alone = topic.name.endswith("servo_jf")
 
     def body(row: Sequence[float]) -> tuple[Any, ...]:
+        if topic.oriented:
+            return oriented(row[:width], row[width:])
         if name == POSE:
             return (pose(point(*row), upright),)
         if name == WRENCH:
@@ -323,6 +355,12 @@ def serialiser(typestore: Any, topic: RosTopic) -> Serialise:
             return axes, none, none, numbers
         velocity, effort = (known if np.isfinite(known).all() else none for known in np.split(numbers[width:], 2))
         return axes, numbers[:width], velocity, effort
+
+    def oriented(row: Sequence[float], turn: Sequence[float]) -> tuple[Any, ...]:
+        if name == POSE:
+            w, x, y, z = turn
+            return (pose(point(*row), quaternion(x, y, z, w)),)
+        return ((wrench if name == WRENCH else twist)(vector(*row), vector(*turn)),)
 
     def serialise(time: int, row: Sequence[float]) -> bytes:
         seconds, nanoseconds = divmod(time, 10**9)

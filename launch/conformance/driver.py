@@ -35,6 +35,16 @@ moves its device.
   (:data:`manyhands.nodes.kernel.timeouts.HELD_TICKS`), and with one as brief as can be seen. How long it lasted follows
   from the way that the device has gone when it is read again.
 
+**Orientation.** Where the driver tells one, it is read with every sample. A driver that states a torque is pushed by
+torques about its three axes, too, and all that is said above of forces is judged of them, with the turn in place of the
+displacement. Its forces are exerted together with a torque of 0.
+
+- *wrong answer*: an orientation is a unit quaternion.
+- *jumping orientation*: from one sample to the next it turns no further than at the stated speed. A quaternion and its
+  opposite are the same.
+- *torque without being asked*: before any force, and while a force acts alone, the device speeds up by less than
+  :data:`LEFT` of its answer to a torque.
+
 The suite can judge what it moves: a hand that holds the device, or much dry friction, leaves checks open. It proves
 nothing about a driver that behaves differently later.
 """
@@ -43,8 +53,9 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Final, TypeVar
 
 import numpy as np
@@ -57,6 +68,7 @@ from manyhands.launch.conformance.timing import CallTimer
 from manyhands.nodes.device.drivers import Driver
 from manyhands.nodes.device.plugin import PART, DriverFailure, PluginDriver
 from manyhands.nodes.device.specification import DeviceSpecification
+from manyhands.nodes.kernel.orientation import Quaternion, angle, difference
 from manyhands.nodes.kernel.timeouts import HELD_TICKS
 from manyhands.protocol.clock import Clock, Instant, SimulatedClock, from_seconds
 
@@ -77,6 +89,8 @@ RELEASE: Final = "no release"
 ESTIMATE: Final = "estimate"
 SILENCE: Final = "force kept on silence"
 CLOSE: Final = "close"
+JUMP: Final = "jumping orientation"
+TORQUE: Final = "torque without being asked"
 
 REST_TICKS: Final = 200
 """Ticks in which the device is only read."""
@@ -123,6 +137,12 @@ SELDOM: Final = 5
 AGAIN: Final = 3
 """Calls longer than a period that no busy machine explains: what waits for its device does so again and again."""
 
+TURNS: Final = ("rx", "ry", "rz")
+"""What a suite calls the turns about the three axes of a driver."""
+
+LEAST_TURN: Final = 1e-6
+"""rad; a device that turns by less may not have turned: a quaternion is rounded."""
+
 LEFT: Final = 0.1
 """The part of a push that may be left after its release: what the steps of an encoder may look like."""
 
@@ -155,10 +175,14 @@ class Push:
     Attributes:
         force: N.
         travel: a push ends once the device has moved by so much, m.
+        torque: about each axis of a device that exerts one beside its forces, N*m.
+        turn: a torque ends once the device has turned by so much, rad.
     """
 
     force: float = 0.5
     travel: float = 0.01
+    torque: float = 0.005
+    turn: float = 0.2
 
 
 @dataclass
@@ -168,10 +192,12 @@ class Stretch:
     Attributes:
         at: s since the first tick of all.
         x: ticks x axes, m.
+        R: of a device that tells its orientation, by tick; empty for others.
     """
 
     at: list[float] = field(default_factory=list)
     x: list[list[float]] = field(default_factory=list)
+    R: list[Quaternion] = field(default_factory=list)
 
     @property
     def times(self) -> Array:
@@ -183,8 +209,27 @@ class Stretch:
         """As an array, ticks x axes, m."""
         return np.array(self.x)
 
+    def turns(self, ticks: slice = slice(None)) -> Stretch:
+        """The same ticks with the turns since the first of them in place of displacements, rad."""
+        R, x = self.R[ticks], [[0.0] * 3]
+        for before, now in pairwise(R):
+            x.append([a + b for a, b in zip(x[-1], _turn(now, before), strict=True)])
+        return Stretch(self.at[ticks], x[: len(R)])
+
     def __len__(self) -> int:
         return len(self.at)
+
+
+def _turn(R: Quaternion, before: Quaternion) -> list[float]:
+    """The rotation vector from the orientation of a tick to that of the next, rad; its length is at most pi.
+
+    Their sum is the integral of the angular velocity, which a torque changes as a force does a velocity. It has no end
+    at half a turn, as the rotation vector from an origin has.
+    """
+    w, *v = difference(R, before)
+    size = math.hypot(*v)
+    scale = 2.0 if size < 1e-12 else 2.0 * math.atan2(size, abs(w)) / size
+    return [math.copysign(scale, w) * part for part in v]
 
 
 @dataclass
@@ -241,6 +286,13 @@ class Bench:
         self.samples = Stretch()  # all of them
         self.books = _Books()
         self._held: list[float] | None = None
+        self._oriented = driver if isinstance(driver, PluginDriver) and driver.oriented is not None else None
+        self._felt = driver if isinstance(driver, PluginDriver) and driver.oriented and driver.oriented.felt else None
+        self._turned: list[float] | None = None  # rad, since torques are exerted
+
+    def turns(self) -> None:
+        """From now on push by torques (N*m), and take the turns from here for displacements, rad."""
+        self._turned = [0.0] * 3
 
     def rest(self, ticks: int) -> Stretch:
         """Read the device for some ticks, with no force."""
@@ -255,14 +307,14 @@ class Bench:
         self._tick(None)
         now = self._now()
         until = Instant(now + lasts * self._period)
-        self._call("apply", lambda: self._driver.apply(f, now, until))
-        record = Stretch(self.samples.at[-1:], self.samples.x[-1:])
+        self._exert(f, now, until)
+        record = Stretch()
+        self._keep(record)
         self._slot += ticks - 1
         self._timed = False  # a counterpart makes up for all of the silence in the next call
         self._tick(None)
         self._timed = True
-        record.at.append(self.samples.at[-1])
-        record.x.append(self.samples.x[-1])
+        self._keep(record)
         return record
 
     def close(self) -> None:
@@ -274,8 +326,7 @@ class Bench:
         record = Stretch()
         for _ in range(ticks):
             self._tick(f)
-            record.at.append(self.samples.at[-1])
-            record.x.append(self.samples.x[-1])
+            self._keep(record)
             moved = max(abs(now - first) for now, first in zip(record.x[-1], record.x[0], strict=True))
             if travel is not None and moved > travel:
                 break
@@ -293,19 +344,25 @@ class Bench:
         x = self._call("sample", lambda: driver.sample(turn, at))
         self.samples.at.append(at * 1e-9)
         self.samples.x.append(list(x))
+        if self._oriented is not None:
+            R = self._call("orientation", self._oriented.orientation)
+            if self._turned is not None:
+                more = _turn(R, self.samples.R[-1])
+                self._turned = [a + b for a, b in zip(self._turned, more, strict=True)]
+            self.samples.R.append(R)
         if isinstance(driver, PluginDriver) and driver.tells_work:
             self._book(driver)
         self._held = f
         if f is None:
             self._call("release", lambda: driver.release(at))
         else:
-            until = Instant(at + SILENT_TICKS * self._period)
-            self._call("apply", lambda: driver.apply(f, at, until))
+            self._exert(f, at, Instant(at + SILENT_TICKS * self._period))
         self._slot = max(self._slot + 1, -((self._epoch - self._clock.now()) // self._period))
         self._turn += 1
         if isinstance(driver, PluginDriver):
-            measured = self._call("exerted", lambda: driver.exerted(f or [0.0] * driver.axes))
-            if driver.measures and f is not None:
+            force = [0.0] * driver.axes if f is None or self._turned is not None else f
+            measured = self._call("exerted", lambda: driver.exerted(force))
+            if driver.measures and f is not None and self._turned is None:
                 self.exerted.append(list(measured))
         due = Instant(self._slot * self._period)
         self._call("idle", lambda: driver.idle(due))
@@ -322,6 +379,23 @@ class Bench:
 
     def _now(self) -> Instant:
         return Instant(self._clock.now() - self._epoch)
+
+    def _keep(self, record: Stretch) -> None:
+        """Add the last tick: its displacement, or its turn while torques are exerted."""
+        samples = self.samples
+        record.at.append(samples.at[-1])
+        record.x.append(samples.x[-1] if self._turned is None else self._turned)
+        record.R += samples.R[-1:]
+
+    def _exert(self, f: list[float], at: Instant, until: Instant) -> None:
+        """Exert a force (N), or a torque (N*m) while torques are exerted."""
+        driver, felt = self._driver, self._felt
+        if felt is None:
+            self._call("apply", lambda: driver.apply(f, at, until))
+            return
+        none = [0.0] * len(f)
+        force, torque = (f, none) if self._turned is None else (none, f)
+        self._call("apply_wrench", lambda: felt.apply_wrench(force, torque, at, until))
 
     def _call(self, method: str, call: Callable[[], _R]) -> _R:
         self._calls += 1
@@ -346,6 +420,7 @@ def check_driver(bench: Bench, stated: DeviceSpecification, push: Push | None) -
     """
     judged: list[Judgement] = []
     m = len(stated.force)
+    forced: list[_Pushed] = []
     unpushed = "nothing was pushed"
     if not stated.moved_by_force:
         push, unpushed = None, "skipped: the driver states that no force moves its device (moved_by_force=False)"
@@ -363,6 +438,7 @@ def check_driver(bench: Bench, stated: DeviceSpecification, push: Push | None) -
                 books.append(bench.books)
             bench.books = _Books()
             pushed = _Pushed(axis, force, rest, *ways)
+            forced.append(pushed)
             found = list(_judged(pushed, bench.T, stated))
             if not broken(found):  # forces and displacements are in order, so what they did is known
                 found = [*_worked(bench, pushed, books, stated), *found]
@@ -371,6 +447,8 @@ def check_driver(bench: Bench, stated: DeviceSpecification, push: Push | None) -
                 break  # what does not obey is not pushed any more
             if found[-1].check == RELEASE:  # all before it is in order
                 judged.append(_silence(bench, pushed, f, back, stated))
+        if push is not None and not broken(judged) and stated.orientation is not None and stated.orientation.felt:
+            judged += _torques(bench, forced, stated, push)
     except DriverFailure as failure:
         yield _failed(failure)
         yield from _times(bench)
@@ -380,6 +458,7 @@ def check_driver(bench: Bench, stated: DeviceSpecification, push: Push | None) -
     yield Judgement(EXCEPTION, Conformance.KEPT, f"no call raised in {len(bench.samples)} ticks")
     yield from _times(bench)
     yield _reach(bench, stated)
+    yield from _jumps(bench, stated)
     if push is None:
         for check in (STALE, SWAPPED, SIGN, RELEASE, SILENCE):
             yield Judgement(check, Conformance.OPEN, unpushed)
@@ -387,6 +466,79 @@ def check_driver(bench: Bench, stated: DeviceSpecification, push: Push | None) -
     if not broken(judged):  # what a push has found says more
         yield from _measured(bench, stated)
     yield closing
+
+
+def _torques(bench: Bench, forced: Sequence[_Pushed], stated: DeviceSpecification, push: Push) -> Iterator[Judgement]:
+    """What the turns show for torques about each axis, of which everything is judged that is judged of forces.
+
+    Args:
+        bench: the driver in its loop.
+        forced: the pushes by forces, in order.
+        stated: what the driver states.
+        push: how the device may be pushed.
+    """
+    of = stated.orientation
+    assert of is not None  # noqa: S101
+    most = of.torque or 0.0
+    axes = TURNS
+    turning = DeviceSpecification(
+        (most,) * 3, (math.pi,) * 3, (of.speed,) * 3, stated.timing, axes, axes, hardware=stated.hardware
+    )
+    torque, answers = min(push.torque, most), []
+    for axis in range(3):
+        bench.turns()
+        rest = bench.rest(REST_TICKS)
+        f = [torque if i == axis else 0.0 for i in range(3)]
+        back = [-value for value in f]
+        ways = []
+        for way in (f, back):
+            ways += [bench.push(way, PUSH_TICKS, push.turn), bench.rest(PUSH_TICKS)]
+        pushed = _Pushed(axis, torque, rest, *ways)
+        found = list(_judged(pushed, bench.T, turning))
+        yield from found
+        if broken(found):
+            return
+        answers.append(abs(float(pushed.answer()[axis])))
+        if found[-1].check == RELEASE:
+            yield _silence(bench, pushed, f, back, turning)
+    yield from _unasked(bench, forced, stated, min(answers), torque)
+
+
+def _unasked(
+    bench: Bench, forced: Sequence[_Pushed], stated: DeviceSpecification, answer: float, torque: float
+) -> Iterator[Judgement]:
+    """Whether a torque acts before anything is asked for, or with a force alone; ``answer`` is to ``torque``, N*m."""
+    before = _acceleration(bench.samples.turns(slice(0, PUSH_TICKS)))
+    cases = [("before any force", float(np.abs(before).max()))]
+    for pushed in forced:
+        turned = (_acceleration(pushed.there.turns()) - _acceleration(pushed.back.turns())) / 2.0
+        cases.append((f"for a push of {pushed.force:g} N {pushed.words(stated)}", float(np.abs(turned).max())))
+    for when, found in cases:
+        if found > LEFT * answer:
+            seems = torque * found / answer
+            text = f"found a device that speeds up as by a torque of {seems:.2g} N·m {when}; expected none"
+            free = f"{text}: let it stand free" if stated.hardware else text
+            yield Judgement(TORQUE, Conformance.OPEN if stated.hardware else Conformance.BROKEN, free)
+            return
+    yield Judgement(TORQUE, Conformance.KEPT, "no torque acted before one was asked for, and none with a force alone")
+
+
+def _jumps(bench: Bench, stated: DeviceSpecification) -> Iterator[Judgement]:
+    """Whether the orientation turned further between two samples than at its stated speed; nothing without one."""
+    if stated.orientation is None:
+        return
+    speed, jitter = stated.orientation.speed, stated.timing.jitter
+    samples, fastest = bench.samples, 0.0
+    for i, (R, last) in enumerate(pairwise(samples.R)):
+        far, h = angle(last, R), samples.at[i + 1] - samples.at[i] + jitter
+        if far > speed * h + LEAST_TURN:
+            found = f"an orientation that turned by {far:.3g} rad from one sample to the next, {1e3 * h:.3g} ms later"
+            text = f"found {found}; expected at most {speed * h:.3g} rad, at its stated speed of {speed:g} rad/s"
+            yield Judgement(JUMP, Conformance.BROKEN, text)
+            return
+        fastest = max(fastest, far / h) if h > 0.0 else fastest
+    told = f"{len(samples.R)} orientations, each a rotation, which turn at {fastest:.3g} rad/s at most"
+    yield Judgement(JUMP, Conformance.KEPT, told)
 
 
 def _worked(bench: Bench, pushed: _Pushed, books: list[_Books], stated: DeviceSpecification) -> Iterator[Judgement]:
@@ -434,7 +586,7 @@ def _closed(bench: Bench) -> Judgement:
 def _times(bench: Bench) -> Iterator[Judgement]:
     """The durations of the calls of the loop."""
     T, texts = bench.T * 1e6, []
-    for method in ("sample", "apply", "release", "exerted", "work", "idle"):
+    for method in ("sample", "orientation", "apply", "apply_wrench", "release", "exerted", "work", "idle"):
         if method not in bench.durations:
             continue
         p50, most = (float(value) / 1e3 for value in np.percentile(bench.durations[method], (50, 100)))
@@ -539,6 +691,7 @@ def _judged(pushed: _Pushed, T: float, stated: DeviceSpecification) -> Iterator[
     low, high = bounds if stated.mass is None else (stated.mass[axis] / 3.0, 3.0 * stated.mass[axis])
     N, m_, kg = unit("N"), unit("m"), unit("kg")
     expected = f"expected {low:.3g} to {high:.3g} {kg}: displacements are in {m_}, and forces in {N}"
+    axes_turn = stated.axes == TURNS
     short = min(pushed.there, pushed.back, key=len)
     ticks = len(short)
     if ticks < LEAST_TICKS:
@@ -550,9 +703,8 @@ def _judged(pushed: _Pushed, T: float, stated: DeviceSpecification) -> Iterator[
         if mass < low:
             yield Judgement(UNIT, Conformance.BROKEN, f"found that {text}; {expected}")
         else:
-            yield Judgement(
-                UNIT, Conformance.OPEN, f"{text}; push with less force, or let it travel further (--travel)"
-            )
+            less = "less torque (--torque)" if axes_turn else "less force, or let it travel further (--travel)"
+            yield Judgement(UNIT, Conformance.OPEN, f"{text}; push with {less}")
         return
     times, places, force = pushed.whole(m)
     a = pushed.answer()
@@ -756,9 +908,10 @@ def _silence(
         if lasted - error > asked + GRACE * T:
             return Judgement(SILENCE, Conformance.BROKEN, _kept_on(of, lasted, ticks, T, lasted > 0.9 * window))
         if error > asked:
+            more = "torque (--torque)" if stated.axes == TURNS else "force (--force)"
             text = (
                 f"a step of {step:g} {unit('m')} is too coarse to see whether a force {of} ends after "
-                f"{1e3 * asked:.3g} ms, for it tells the time to {1e3 * error:.2g} ms: push with more force (--force)"
+                f"{1e3 * asked:.3g} ms, for it tells the time to {1e3 * error:.2g} ms: push with more {more}"
             )
             return Judgement(SILENCE, Conformance.OPEN, text)
         told.append(f"{1e3 * lasted:.2g} of {1e3 * asked:.3g} ms")

@@ -44,6 +44,7 @@ from manyhands.launch.recordings.run import RecordedRun, RecordedTrace, read_run
 from manyhands.launch.recordings.tables import read_saved
 from manyhands.launch.run.states import is_summary
 from manyhands.nodes.kernel.bundle import REALTIME
+from manyhands.nodes.kernel.orientation import angles
 from manyhands.nodes.recorder.format import CERTIFICATE_FILE
 from manyhands.nodes.rows.own_ticks import own_tick
 from manyhands.nodes.rows.units import units_of_columns
@@ -305,6 +306,8 @@ def _panels(
         curves: list[Curve] = []
         units: list[str] = []
         for node, trace in zip(nodes[source], found[source], strict=True):
+            if name == ANGLE and (node, "proxy") not in traces:
+                continue  # sensed alone: no spring pulls at the hand
             labels = (node,) if topic.trace in (LEDGER, TAU, INTERFACE) or name == ANGLE else trace.columns
             if topic.hands and name != ANGLE:
                 labels = tuple(f"{node}.{column}" for column in labels)
@@ -318,7 +321,7 @@ def _panels(
                     values, period / rate, None if instants is None else _of_length(instants.values[:, :1], ticks)
                 )
             if name == ANGLE:
-                values = _angles(values, _of_length(traces[node, "proxy"].values, ticks))
+                values = angles(values, _of_length(traces[node, "proxy"].values, ticks))[:, None]
             curves += [Curve(label, column, rate) for label, column in zip(labels, values.T, strict=True)]
             units += ["rad"] if name == ANGLE else units_of_columns(topic, trace.columns, turning)
         for unit in dict.fromkeys(units):
@@ -327,12 +330,6 @@ def _panels(
             axis = f"velocity [{unit}/s]" if name == VELOCITY else f"{symbol} [{unit}]"
             panels.append(Panel(name, title, axis, own, zero=topic.trace in (LEDGER, INTERFACE)))
     return panels
-
-
-def _angles(R: Array, Q: Array) -> Array:
-    """The angle of the turn from each orientation to the other, ticks x 1, rad."""
-    found: Array = 2.0 * np.arccos(np.minimum(np.abs((R * Q).sum(axis=1, keepdims=True)), 1.0))
-    return found
 
 
 def _of_length(values: Array, ticks: int) -> Array:

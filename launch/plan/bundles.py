@@ -61,6 +61,7 @@ from manyhands.nodes.kernel.bundle import (
     PersonHand,
     PluginDevice,
     RecordedMotion,
+    SensedPart,
     SimulatedHand,
     Source,
     WaveEnd,
@@ -237,7 +238,10 @@ def cut(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
     allowance = session.faults.enforced_tank if prepared.certified else None  # without a certificate, no promise
     for name in session.devices:
         own_rungs = rungs[coupling_at[session.ports_of(name)[0]]]
-        of_device = tuple(DeviceRung(rung.tau, rung.period_tolerance, rung.share) for rung in own_rungs)
+        of_device = tuple(
+            DeviceRung(rung.tau, rung.period_tolerance, rung.share, _turning(prepared, name, number))
+            for number, rung in enumerate(own_rungs)
+        )
         limits = limits_at(session, commons[name].ports)
         osp = matrix(session.osp_level(name))
         time = WALL if session.in_wall_time(name, run.clock) else OWN
@@ -291,15 +295,27 @@ def cut(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
     return _with_part_ids(prepared, bundles)
 
 
-def _orientation_of(prepared: Prepared, name: str) -> OrientationPart | None:
+def _orientation_of(prepared: Prepared, name: str) -> OrientationPart | SensedPart | None:
     """The orientation of a device, with the stiffness that is proved, or in an uncertified run designed."""
     own = prepared.session.devices[name].orientation
     if own is None:
         return None
-    (level,) = (device.orientation for device in prepared.loop.devices if device.name == name)
+    part = prepared.certificate_of(name)
+    loop = prepared.loop if part is None else part.loop
+    (level,) = (device.orientation for device in loop.devices if device.name == name)
     if level is None:
         raise AssertionError(f"the loop has the orientation of {name}")
     return own.part(level.stiffness)
+
+
+def _turning(prepared: Prepared, name: str, rung: int) -> float | None:
+    """K of the spring at a device's orientation, at a rung, N*m/rad; None where no torque acts."""
+    if rung == 0 or prepared.ladder is None:
+        part = _orientation_of(prepared, name)
+        return part.stiffness if isinstance(part, OrientationPart) else None
+    loop = prepared.ladder.rungs[rung].loop
+    (level,) = (device.orientation for device in loop.devices if device.name == name)
+    return None if level is None or level.osp is None else level.stiffness
 
 
 def _oriented_tool(prepared: Prepared, name: str) -> OrientedTool:
@@ -307,7 +323,11 @@ def _oriented_tool(prepared: Prepared, name: str) -> OrientedTool:
     part = _orientation_of(prepared, name)
     if part is None:
         raise AssertionError(f"the orientation of {name} is a port")
-    return OrientedTool(name, part.stiffness, part.torque, part.power(prepared.session.period))
+    if isinstance(part, SensedPart):
+        return OrientedTool(name, part.stiffness, None, None)
+    session = prepared.session
+    own, T = session.period_of(name), session.period
+    return OrientedTool(name, part.stiffness, part.torque, part.power(own) * T / own)
 
 
 def _riding(session: Session, node: str) -> tuple[str, ...]:
@@ -354,7 +374,7 @@ def part_id(certificate: str, bundles: Sequence[Bundle]) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True, allow_nan=False).encode()).hexdigest()
 
 
-_OF_A_PART = ("session", "name", "role", "period", "clock", "ports", "rate", "buttons")
+_OF_A_PART = ("session", "name", "role", "period", "clock", "ports", "rate", "buttons", "riding")
 
 
 def _site_bounds(session: Session, tools: PortBounds, feedthrough: Mapping[str, Matrix]) -> dict[str, SiteBounds]:
@@ -537,7 +557,10 @@ def _columns(session: Session, graph: Topology, name: str, clock: str) -> int:
     wall, torques = session.in_wall_time(name, clock), session.holds_torques(name)
     oriented = session.environment.oriented
     hands = hands_at(name, graph.nodes[name], session.hands)
-    topics = topics_of(graph.nodes[name], masses, wall, bool(links), torques, oriented=oriented, hands=hands)
+    sensed = session.sensed_hands
+    topics = topics_of(
+        graph.nodes[name], masses, wall, bool(links), torques, oriented=oriented, hands=hands, sensed=sensed
+    )
     return sum(len(topic.columns_of(ports, masses, links, oriented, hands)) for topic in topics)
 
 

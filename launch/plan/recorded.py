@@ -41,6 +41,7 @@ def recorded_of(prepared: Prepared, clock: str) -> Recorded:
         turning=session.turning,
         oriented=session.environment.oriented,
         hands=session.hands,
+        sensed=session.sensed_hands,
         drawing=drawing_of(session),
     )
 
@@ -68,7 +69,9 @@ class Traces:
             hands = hands_at(name, role, plan.session.hands)
             topics = [
                 topic
-                for topic in topics_of(role, masses, linked=bool(links), oriented=oriented, hands=hands)
+                for topic in topics_of(
+                    role, masses, linked=bool(links), oriented=oriented, hands=hands, sensed=plan.session.sensed_hands
+                )
                 if topic.trace != TAU and (topic.trace != LEDGER or name in ledgers)
             ]
             columns = [topic.columns_of(graph.ports[name], masses, links, oriented, hands) for topic in topics]

@@ -112,7 +112,7 @@ def in_tick(session: Session) -> SessionPart:
         session=session.name,
         period=session.period,
         ports=ports,
-        devices=_devices(session, index),
+        devices=_devices(session, index, stated_delay(session)),
         partition=Partition(names, blocks),
         environment=WorldPromise(ports, level, id=in_tick_id(session.name, session.period, ports, level)),
         tau=stated_delay(session),
@@ -316,24 +316,27 @@ def site_loop(session: Session, coupling: str) -> HapticLoop:
         mass=link.mass_matrix(m),
     )
     index = {port: i for i, port in enumerate(ports)}
+    tau = stated_delay(session) if link.tau is None else link.tau
     return HapticLoop(
         session=session.name,
         period=link.period_in(session.period),
         ports=ports,
-        devices=_devices(session, index),
+        devices=_devices(session, index, tau),
         partition=Partition((coupling,), (tuple(range(m)),)),
         environment=face,
-        tau=stated_delay(session) if link.tau is None else link.tau,
+        tau=tau,
         period_tolerance=session.period_tolerance,
     )
 
 
-def _devices(session: Session, index: dict[str, int]) -> tuple[DeviceLevel, ...]:
-    """The devices of these ports, with their places in ``index``."""
+def _devices(session: Session, index: dict[str, int], tau: float) -> tuple[DeviceLevel, ...]:
+    """The devices of these ports, with their places in ``index``; ``tau`` is the longest delay of their part, s."""
     names = {session.device_at[port] for port in index}
     own = {name: session.ports_of(name) for name in session.devices if name in names}
     return tuple(
-        device_level(session, name, tuple(index[p] for p in ports)) for name, ports in own.items() if ports[0] in index
+        device_level(session, name, tuple(index[p] for p in ports), tau)
+        for name, ports in own.items()
+        if ports[0] in index
     )
 
 

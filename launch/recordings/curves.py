@@ -82,7 +82,31 @@ def backward_difference(x: Array, period: float, sampled: Array | None = None) -
         sampled: the instants s(k) of a device in wall time, ticks x 1, ns; None for a device with a sample every T.
             With them, the result is (x(k) - x(k-1))/(s(k) - s(k-1)), and NaN in the first tick.
     """
-    step = np.diff(x, axis=0, prepend=np.zeros((1, *x.shape[1:])))
+    return _over_time(np.diff(x, axis=0, prepend=np.zeros((1, *x.shape[1:]))), period, sampled)
+
+
+def angular_velocity(R: Array, period: float, sampled: Array | None = None) -> Array:
+    """The shortest turn from R(k-1) to R(k) over the time between them, in the world's axes, ticks x 3, rad/s.
+
+    R(-1) is upright. NaN beside what is not recorded; of a device in wall time likewise in the first tick.
+
+    Args:
+        R: unit quaternions, the real part first, ticks x 4.
+        period: as in :func:`backward_difference`.
+        sampled: likewise.
+    """
+    before = np.vstack([[1.0, 0.0, 0.0, 0.0], R[:-1]])
+    w, v = R[:, :1], R[:, 1:]
+    real = (R * before).sum(axis=1, keepdims=True)
+    parts = before[:, :1] * v - w * before[:, 1:] - np.cross(v, before[:, 1:])  # of R(k) R(k-1)*
+    size = np.linalg.norm(parts, axis=1, keepdims=True)
+    angle = 2.0 * np.arctan2(size, np.abs(real)) * np.where(real < 0.0, -1.0, 1.0)
+    # a turn that is too small for a quotient is twice these parts
+    turn = parts * np.divide(angle, size, out=np.full_like(size, 2.0), where=(size > 0.0) | np.isnan(size))
+    return _over_time(turn, period, sampled)
+
+
+def _over_time(step: Array, period: float, sampled: Array | None) -> Array:
     if sampled is None:
         return step / period
     between = np.diff(sampled, axis=0, prepend=np.nan)

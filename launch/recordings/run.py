@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from manyhands.design.files import replacing
 from manyhands.design.models.brief import brief_names, brief_repr
-from manyhands.launch.recordings.curves import backward_difference
+from manyhands.launch.recordings.curves import angular_velocity, backward_difference
 from manyhands.launch.recordings.formats import TABLES, TICK, TIME, Progress, TableOfRun
 from manyhands.launch.recordings.reading import MOST_MISSING, cut_at, read_topics, require_beginning, span_of
 from manyhands.launch.recordings.recording import Array, RecordingError, data_frame, require_suffix
@@ -33,7 +33,7 @@ from manyhands.nodes.rows import figures as names
 from manyhands.nodes.rows.own_ticks import own_span, own_tick, own_ticks_before, session_tick
 from manyhands.nodes.rows.tick_events import Kind, events_in
 from manyhands.nodes.rows.units import units_of_columns
-from manyhands.protocol.channels import DISPLACEMENT, FORCE, INSTANTS, Topic, topic_name
+from manyhands.protocol.channels import DISPLACEMENT, FORCE, INSTANTS, ORIENTATION, Topic, topic_name
 from manyhands.protocol.messages import Condition, Figures, Role
 
 if TYPE_CHECKING:
@@ -131,14 +131,28 @@ class RecordedRun:
         A device in wall time has the instants of its samples recorded, and their differences stand in place of T.
         Before tick 0 x is zero.
         """
-        instants = next(
-            (kept for (of, _), kept in self.traces.items() if (of, kept.topic.trace) == (device, INSTANTS)), None
-        )
-        sampled = None if instants is None else rows_of(self, device, INSTANTS)[:, :1]
-        found = backward_difference(rows_of(self, device, DISPLACEMENT), self.recorded.period_of(device), sampled)
+        x = rows_of(self, device, DISPLACEMENT)
+        found = backward_difference(x, self.recorded.period_of(device), self._sampled(device))
         if self.first_of(device) > 0:
             found[:1] = np.nan  # the sample before the recording's first is not in it
         return found
+
+    def angular_velocity_of(self, device: str) -> Array:
+        """The turn from tick to tick over the time between, of a device whose orientation is a port, its ticks x 3.
+
+        In the world's axes, rad/s; see :meth:`velocity_of`.
+        """
+        found = angular_velocity(
+            rows_of(self, device, ORIENTATION), self.recorded.period_of(device), self._sampled(device)
+        )
+        if self.first_of(device) > 0:
+            found[:1] = np.nan
+        return found
+
+    def _sampled(self, device: str) -> Array | None:
+        """The instants of a device's samples, its ticks x 1, ns; None of one that has a sample every T."""
+        own = (kept for (of, _), kept in self.traces.items() if (of, kept.topic.trace) == (device, INSTANTS))
+        return None if next(own, None) is None else rows_of(self, device, INSTANTS)[:, :1]
 
     def _of_devices(self, trace: str) -> Array:
         return np.hstack([self._newest(device, rows_of(self, device, trace)) for device in self.recorded.devices])

@@ -670,6 +670,7 @@ class UserIncidents:
         self._awaiting: dict[str, tuple[int, int]] = {}
         self._of_itself: dict[str, str] = {}  # devices that nobody can have moved so, and why
         self._speeds: dict[str, float] = {}  # of devices that let go, the greatest of about then, m/s
+        self._later: dict[str, tuple[str, int]] = {}  # that devices let go, not said yet; its tick
         self._next: dict[str, float] = {}  # the first tick of a party's next sentence
 
     def forget(self, node: str) -> None:
@@ -697,15 +698,25 @@ class UserIncidents:
             since, self._told[node] = min(tick, self._told.get(node, 0)), tick
             out = [*self._stays_frozen(tick, figures, running), *self._budgets(since, tick, figures)]
             for device in [device for device, (_, awaited) in self._awaiting.items() if awaited <= tick]:
-                out.append(self._let_go(device, *self._awaiting.pop(device)))
-            return out
+                since, until = self._awaiting.pop(device)
+                self._later[device] = self._let_go(device, since, until), until
+            return [*out, *self._due(tick)]
         if node in self._couplings:
             since, self._told[node] = min(tick, self._told.get(node, 0)), tick
-            if self._grown(node, figures.get(names.LET_GO, 0.0), tick):
-                self._awaiting[node] = since, tick
+            before, self._counts[node] = self._counts.get(node, 0.0), figures.get(names.LET_GO, 0.0)
+            if self._counts[node] > before:
+                self._awaiting[node] = self._awaiting.get(node, (since, tick))[0], tick
                 self._speeds[node] = figures.get(names.SPEED, 0.0)
                 self._note_of_itself(node, figures)
         return []
+
+    def _due(self, tick: int) -> Iterator[str]:
+        """The sentences of devices that let go, once none was said of them lately: of several meanwhile the last."""
+        for device in [device for device in self._later if tick >= self._next.get(device, 0.0)]:
+            sentence, happened = self._later.pop(device)
+            waited = happened < self._next.get(device, 0.0)
+            self._next[device] = tick + self._quiet
+            yield f"{sentence}; that was at {happened * self._period:.1f} s" if waited else sentence
 
     def _stays_frozen(self, tick: int, figures: Mapping[str, float], running: Collection[str]) -> Iterator[str]:
         for event in events_in(figures):

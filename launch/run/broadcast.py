@@ -118,6 +118,7 @@ def describe(
         turning=session.turning,
         oriented=session.environment.oriented,
         hands=session.hands,
+        sensed=session.sensed_hands,
     )
 
 

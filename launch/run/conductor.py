@@ -467,7 +467,8 @@ class Conductor:
             survived = self.restarts.allowed > 0 or node in self.seats
             if survived and (state is NodeState.RUNNING or state in RETURNING):
                 vain = bool(said) and state is NodeState.STARTING
-                why = f": {said}" if vain else ""
+                told = any(said in one for one in self.incidents.sentences)  # by a node of the same process
+                why = f": {said}" if vain else f"; the last line of its log: {said}" if said and not told else ""
                 return self._withstood(self._recovery.lose(node, f"{how} while {state}{why}", now, vain=vain))
         self.states[node] = NodeState.ENDED
         out: list[Instruction] = []

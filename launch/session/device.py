@@ -110,7 +110,7 @@ from manyhands.launch.session.rate import rate_motion
 from manyhands.nodes.device.motion_sources import MOTION_SOURCES
 from manyhands.nodes.kernel.bundle import WALL, RateMotion
 from manyhands.nodes.kernel.buttons import Script
-from manyhands.nodes.kernel.driver_statement import DeviceTiming, DriverWord
+from manyhands.nodes.kernel.driver_statement import FELT, SENSED, DeviceTiming, DriverWord
 from manyhands.nodes.kernel.factory import DRIVERS
 from manyhands.nodes.kernel.inertia import Inertia
 from manyhands.nodes.kernel.words import counted
@@ -271,6 +271,9 @@ _TORQUE: Final = "torque"
 _ROUNDING: Final = 1e-12  # rounding error of the eigenvalues of a difference, relative to the largest entry
 _per_axis: Final = PerAxis(OSP_LEVEL)
 _SIMULATED, _TRACE = "simulated", "trace"
+TURNING: Final = (_SIMULATED, "browser")
+"""The drivers that turn in space."""
+
 PERSONS: Final = ("browser", *MOTION_SOURCES)
 """Drivers by which a person moves a simulated device without feeling it."""
 
@@ -611,7 +614,9 @@ class Device(SessionModel):
         description="names of its buttons; {NAME: [[from, until]]}, in s, presses those of a simulated one",
     )
     orientation: Orientation | None = Field(
-        default=None, description="with driver: simulated and three axes that translate, its orientation as a port"
+        default=None,
+        description="with driver: simulated, browser or one of another package, and three axes that translate, its "
+        "orientation as a port",
     )
     hand: Hand | None = defaulted(None, "the simulated hand that holds it")
 
@@ -689,7 +694,7 @@ class Device(SessionModel):
         timing, least = self.timing, None if self.friction is None else self.friction.least
         return DriverWord(
             self.factory, timing.sample_age, timing.actuation_delay, self.step, least, self.holds_torques,
-            self.by_itself or (),
+            self.by_itself or (), "" if self.orientation is None else SENSED if self.orientation.sensed else FELT,
         )  # fmt: skip
 
     @property
@@ -828,14 +833,20 @@ class Device(SessionModel):
         if self.orientation is None:
             return
         at = ("orientation",)
-        if self.driver != _SIMULATED:
-            yield Problem(at, f"an orientation {here}", "driver: simulated: no other driver turns in space yet")
+        if self.driver not in TURNING and self.factory is None:
+            expected = f"driver: {', '.join(TURNING)}, or a driver of another package: nothing else turns in space"
+            yield Problem(at, f"an orientation {here}", expected)
+        else:
+            for problem in self.orientation.problems_with(self.driver in TURNING, here):
+                yield problem._replace(at=(*at, *problem.at))
+        if self.driver in PERSONS and any(intent != 0.0 for intent in self.orientation.torque or ()):
+            yield Problem((*at, "torque"), f"torque {here}", "no torque: the intention comes from the person")
         if self.dof != ORIENTED_DOF or self.turning("d"):
             found = f"an orientation beside {counted(self.dof, 'axis', 'axes')}" + (
                 " that turn" * bool(self.turning("d"))
             )
             yield Problem(at, found, f"{ORIENTED_DOF} axes that translate")
-        if self.held == _TORQUE:
+        if self.held == _TORQUE and not self.orientation.sensed:
             expected = "held: force: what torques of joints give out beside an orientation is proved nowhere yet"
             yield Problem(at, "an orientation with held: torque", expected)
 

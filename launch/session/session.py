@@ -445,6 +445,11 @@ class Session(SessionModel):
         """The devices whose orientation is a port, in the session's order."""
         return tuple(name for name, device in self.devices.items() if device.orientation is not None)
 
+    @cached_property
+    def sensed_hands(self) -> tuple[str, ...]:
+        """Those of them whose orientation is sensed alone: no torque acts on them."""
+        return tuple(name for name in self.hands if (of := self.devices[name].orientation) is not None and of.sensed)
+
     @property
     def stiffest_orientations(self) -> dict[str, float]:
         """By device whose orientation is a port, the greatest k that its spring can have, N·m/rad."""
@@ -461,7 +466,9 @@ class Session(SessionModel):
         own = self.devices[name].orientation
         if own is None:
             raise AssertionError(f"the orientation of {name} is no port")
-        return own.stiffness or stiffest(own.osp, self.period, tau, period_tolerance)
+        if own.stiffness is not None or own.osp is None:
+            return own.stiffness or 0.0  # which a sensed orientation states always
+        return stiffest(own.osp, self.period_of(name), tau, period_tolerance)
 
     def _orientation_problems(self) -> Iterator[Problem]:
         """A problem for each orientation that nothing turns, and for what it does not go with."""
@@ -479,12 +486,6 @@ class Session(SessionModel):
                 yield Problem(
                     at, f"an orientation, and no avatar for {name}", f"environment.avatars: {{{name}: JOINT}}"
                 )
-            if self.wave_links:
-                expected = "no wave link: no certificate of parts has an orientation yet"
-                yield Problem(at, f"an orientation with the wave link of {next(iter(self.wave_links))!r}", expected)
-        if self.hands and self.design.ladder:
-            expected = "no ladder: the spring of an orientation has no softer rung yet"
-            yield Problem(("design", "ladder"), f"delays with the orientation of {self.hands[0]!r}", expected)
 
     def _colocation_problems(self) -> Iterator[Problem]:
         """A problem for each coupling of several devices: it receives the motion of all, so no device may run it."""

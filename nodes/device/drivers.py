@@ -261,7 +261,7 @@ def _goal(rate: RateMotion | None, bundle: DeviceBundle) -> Callable[[Follower],
     """Makes the source of the goals by which a person moves a device; under the simulated clock nobody does."""
     T = bundle.common.period
     if rate is None or bundle.common.clock == SIMULATED:
-        return browser_goal(T, pointer_of(bundle.common))
+        return browser_goal(T, pointer_of(bundle.common), bundle.orientation is not None)
     if rate.source not in MOTION_SOURCES:
         raise ValueError(f"found the source of motion {rate.source!r}; expected one of {', '.join(MOTION_SOURCES)}")
     kind = MOTION_SOURCES[rate.source]

@@ -639,7 +639,8 @@ class DeviceInterface:
         self._book()
         self._drawn = self.tank - self.allowed
         paid = self.tank - committed
-        if exerted and paid < account.costs(account.exerted, acts, left):
+        # a force of which motors exert nothing, limp as they are, may last: it costs nothing
+        if account.cost(account.exerted) > 0.0 and paid < account.costs(account.exerted, acts, left):
             end = max(now, Instant(acts + int(1e9 * account.lasts(account.exerted, acts, max(0.0, paid)))))
             if account.until is None or end < account.until:
                 self.shortened, account.until = True, end

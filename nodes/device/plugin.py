@@ -29,11 +29,12 @@ from typing import Final
 
 from manyhands.nodes.device.specification import AxisMap, DeviceSpecification, other_kinds, promises_too_much
 from manyhands.nodes.kernel.arithmetic import Floats
-from manyhands.nodes.kernel.bundle import SIMULATED, WALL, DeviceBundle, PluginDevice
+from manyhands.nodes.kernel.bundle import SIMULATED, WALL, DeviceBundle, OrientationPart, PluginDevice
 from manyhands.nodes.kernel.buttons import picked
 from manyhands.nodes.kernel.driver_statement import DeviceTiming
 from manyhands.nodes.kernel.factory import FactoryError, FactoryName, in_one_line, made_by
 from manyhands.nodes.kernel.lifetime import Stopped
+from manyhands.nodes.kernel.orientation import UPRIGHT, Quaternion, normalised
 from manyhands.nodes.rows import figures as names
 from manyhands.protocol.clock import Duration, Instant, from_seconds
 from manyhands.protocol.messages import Figures
@@ -42,7 +43,8 @@ REQUIRED: Final = (
     "specification", "sample", "apply", "release", "close", "exerted", "idle", "figures",
 )  # fmt: skip
 """The methods of a driver; the last three have a default in :class:`DeviceDriver`. So have ``work``, which is asked for
-where motors hold torques, and ``buttons``, which is asked for where the session names buttons."""
+where motors hold torques, ``buttons``, which is asked for where the session names buttons, and ``orientation`` and
+``apply_wrench``, which are called where a session has the device's orientation, and its torque."""
 
 
 class DeviceDriver(ABC):
@@ -104,6 +106,36 @@ class DeviceDriver(ABC):
         """
         return None
 
+    def orientation(self) -> Sequence[float]:
+        """How the device was turned at the sample that was returned last, as a unit quaternion; it must not wait.
+
+        The loop asks after each displacement, where the session has the device's orientation.
+
+        Returns:
+            (w, x, y, z): the rotation from the axes of the tool to those of the driver's displacements, which form a
+            right-handed frame. q and -q are the same. (1, 0, 0, 0) is the tool's place in the model of the world.
+        """
+        raise NotImplementedError("found no orientation; expected a method orientation of the driver")
+
+    def apply_wrench(
+        self, f: Sequence[float], torque: Sequence[float], at: Instant, until: Instant | None = None
+    ) -> Sequence[float] | None:
+        """Exert a force and a torque together from now on, and hold both until the next call.
+
+        It is called in place of :meth:`apply` where the session has a torque of the device's orientation. From
+        ``until`` on the device has to exert neither by itself. :meth:`release` and :meth:`apply` end the torque.
+
+        Args:
+            f: the force, N, one entry for each axis.
+            torque: N*m, about the driver's three axes, which stand still in the world while it is held.
+            at: the instant of the call.
+            until: as of :meth:`apply`.
+
+        Returns:
+            As :meth:`apply`.
+        """
+        raise NotImplementedError("found no torque; expected a method apply_wrench of the driver")
+
     def buttons(self) -> int:
         """Which buttons are held down: bit i for the i-th that the specification names; it must not wait.
 
@@ -119,6 +151,9 @@ class DeviceDriver(ABC):
         """Figures of its own for the telemetry, at most a few; called ten times a second."""
         return {}
 
+
+OFF_UNIT: Final = 1e-3
+"""By how much the length of a driver's quaternion may be off: as of numbers that were rounded to three digits."""
 
 PART: Final = 0.05
 """The part of an axis' stated limit of force by which a measured force may differ from the one that was given."""
@@ -270,6 +305,7 @@ class PluginDriver:
 
     Attributes:
         by_itself: what its device does outside every certificate, as the driver states; a sentence each.
+        oriented: what the driver states of its device's orientation; None where it tells none.
     """
 
     def __init__(
@@ -305,6 +341,10 @@ class PluginDriver:
         port_of = {axis: port for port, axis in enumerate(axis_map.axes)}
         self._to_axes = [(port_of[axis], axis_map.gains[port_of[axis]]) for axis in range(m)]
         self._zero: Floats = [0.0] * m
+        self.oriented = stated.orientation
+        if self.oriented is not None:
+            self._turned = list(zip(axis_map.axes, axis_map.turns, strict=True))
+            self._torques = [(port_of[axis], axis_map.turns[port_of[axis]]) for axis in range(m)]
         self._F = self._zero  # in the driver's axes, N
         self._failed = False
         self._unexerted = Differences()
@@ -333,6 +373,31 @@ class PluginDriver:
         except (Exception, SystemExit) as error:  # foreign code: every exception is named
             raise self._raised("apply", error, "a displacement or None") from error
         return None if X is None else self._at_ports("apply", X)
+
+    def apply_wrench(
+        self, f: Sequence[float], torque: Sequence[float], at: Instant, until: Instant | None = None
+    ) -> Floats | None:
+        """Exert f (N) of the ports and a torque about the world's axes (N*m) together; returns as :meth:`apply`."""
+        self._F = [gain * f[port] for port, gain in self._to_axes]
+        self._given.give(self._F, at, until)
+        own = [sign * torque[port] for port, sign in self._torques]
+        try:
+            X = self._driver.apply_wrench(self._F.copy(), own, at, until)
+        except (Exception, SystemExit) as error:  # foreign code: every exception is named
+            raise self._raised("apply_wrench", error, "a displacement or None") from error
+        return None if X is None else self._at_ports("apply_wrench", X)
+
+    def orientation(self) -> Quaternion:
+        """How the device was turned at its last sample, in the session's axes."""
+        try:
+            q = list(map(float, self._driver.orientation()))
+        except (Exception, SystemExit) as error:  # foreign code: every exception is named
+            raise self._raised("orientation", error, "a unit quaternion") from error
+        if len(q) != len(UPRIGHT) or not abs(math.hypot(*q) - 1.0) <= OFF_UNIT:  # so for NaN
+            raise self._unusable(
+                "orientation", q, f"a unit quaternion (w, x, y, z), of a length of 1 within {OFF_UNIT:g}"
+            )
+        return normalised([q[0], *(sign * q[1 + axis] for axis, sign in self._turned)])
 
     def release(self, at: Instant) -> Floats | None:
         """Exert no force; after a failure of the driver, what it raises once more is not reported."""
@@ -467,6 +532,27 @@ class PluginDriver:
         return DriverFailure(text, raised=False)
 
 
+def _require_oriented(bundle: DeviceBundle, driver: DeviceDriver, stated: DeviceSpecification, name: str) -> None:
+    """Hold a session's orientation to what its driver states.
+
+    Raises:
+        FactoryError: the driver tells none, or the session promises more of it.
+    """
+    felt = bundle.orientation if isinstance(bundle.orientation, OrientationPart) else None
+    at = f"devices.{bundle.common.name}"
+    if stated.orientation is None:
+        raise FactoryError(
+            f"{at}.orientation: found the driver {name}, which states no orientation; expected one that does, or no "
+            "orientation in the session"
+        )
+    for method in ("orientation", "apply_wrench")[: 1 if felt is None else 2]:
+        if getattr(type(driver), method, None) in (None, getattr(DeviceDriver, method)):
+            raise FactoryError(f"{at}: found the driver {name} without a method {method}; expected it to have one")
+    limits = (None, None) if felt is None else (felt.torque, felt.speed)
+    if found := list(stated.orientation.promises_too_much(*limits)):
+        raise FactoryError(f"{at}: the session promises more than its driver {name} states: {'; '.join(found)}")
+
+
 def plugin_driver(device: PluginDevice, bundle: DeviceBundle) -> PluginDriver:
     """Import and make the driver that a device's bundle names, and hold the session to what it states.
 
@@ -498,6 +584,8 @@ def plugin_driver(device: PluginDevice, bundle: DeviceBundle) -> PluginDriver:
                 f"devices.{bundle.common.name}: found the driver {name} without a method work; expected the work of "
                 "its motors in J, for they hold torques, and the account of lateness rests on it"
             )
+        if bundle.orientation is not None:
+            _require_oriented(bundle, driver, stated, name)
         if found := list(other_kinds(stated, axis_map, ports, bundle.common.kinds)):
             raise FactoryError(
                 f"devices.{bundle.common.name}: the driver {name} states what its axes do, and the session says "

@@ -10,8 +10,10 @@ tension of its spring and the state of its operator. A hand that closes begins a
 Either way the energy stored in the hand is lost or 0, so the hand is passive although its parameters change with time.
 Its mass stays.
 
-**The grasp** (:class:`Pointer`, pure) is what the browser's page sends. A page may end without a message, for example
-with its computer. So a grasp that is not sent again ends after :data:`PATIENCE`, in periods of the device's time.
+**The grasp** (:class:`Pointer`, pure) is what the browser's page sends: a position, and of a device that has an
+orientation as a port, where it shall be turned (:mod:`manyhands.nodes.device.wrist`). A page may end without a message,
+for example with its computer. So a grasp that is not sent again ends after :data:`PATIENCE`, in periods of the device's
+time.
 
 **The smoothed motion** (:class:`Follower`, pure) is one that a hand could make, bounded in reach, speed and
 acceleration. A pointer moves in steps, a few dozen a second, and the motion that holds a device must not. Axis by axis,
@@ -39,6 +41,7 @@ from typing import Final, Protocol
 from manyhands.nodes.device.simulated import Hand, Intention, Plant, bare_device_of, device_of
 from manyhands.nodes.kernel.arithmetic import Floats
 from manyhands.nodes.kernel.bundle import SIMULATED, Common, Limits, SimulatedHand
+from manyhands.nodes.kernel.orientation import UPRIGHT, Quaternion, unit
 from manyhands.nodes.rows import figures as names
 from manyhands.protocol.messages import Figures, Grasp, Release
 from manyhands.protocol.transport.pointer import PointerInlet
@@ -62,6 +65,10 @@ class GoalSource(Protocol):
         """Which of the session's buttons of the device are held down, bit by bit."""
         ...
 
+    def wanted_turn(self) -> Quaternion | None:
+        """Where the person wants the device to be turned, after :meth:`tick`; None while nobody turns it."""
+        ...
+
     def begin(self, position: Floats) -> Floats:
         """The hand has closed on the device at ``position``, m; returns the goal with which it begins, m."""
         ...
@@ -80,49 +87,55 @@ class Pointer:
 
     Attributes:
         goal: where the person wants the device to be, m; None while no person holds it.
+        turn: where the person wants it to be turned; None while nobody turns it.
     """
 
-    def __init__(self, axes: int, within: Callable[[Sequence[float]], Floats], T: float) -> None:
+    def __init__(self, axes: int, within: Callable[[Sequence[float]], Floats], T: float, turns: bool = False) -> None:
         """No grasp yet.
 
         Args:
             axes: number of axes of the device.
             within: returns the point of the device's reach, m, that is nearest to a given point, m.
             T: period, s.
+            turns: whether the device has an orientation, so that four numbers may stand behind those of its axes.
         """
-        self._axes, self._within = axes, within
+        self._axes, self._within, self._turns = axes, within, turns
         self._most_ticks = max(1, round(PATIENCE / T))
         self._ticks = 0  # since the last message of the grasp
         self.goal: Floats | None = None
+        self.turn: Quaternion | None = None
         self._grasps = self._clipped = self._refused = self._lapsed = 0
 
     def tick(self, received: Grasp | Release | None) -> None:
         """Step by one tick; ``received`` is the latest message since the tick before, None for none.
 
-        A grasp with the wrong number of axes or a number that is not finite is counted, and changes nothing.
+        A grasp with the wrong number of axes, a number that is not finite, or an orientation that is none, is counted,
+        and changes nothing.
         """
         match received:
             case Grasp(position):
                 self._grasp(position.tolist())
             case Release():
-                self.goal = None
+                self.goal = self.turn = None
             case None:
                 pass
         if self.goal is None:
             return
         self._ticks += 1
         if self._ticks > self._most_ticks:
-            self.goal = None
+            self.goal = self.turn = None
             self._lapsed += 1
 
-    def _grasp(self, position: Floats) -> None:
-        if len(position) != self._axes or not all(map(math.isfinite, position)):
+    def _grasp(self, numbers: Floats) -> None:
+        position, behind = numbers[: self._axes], numbers[self._axes :]
+        turn = unit(behind) if self._turns and len(behind) == len(UPRIGHT) else None
+        if len(position) != self._axes or not all(map(math.isfinite, position)) or (behind and turn is None):
             self._refused += 1
             return
         goal = self._within(position)
         if goal != position:
             self._clipped += 1
-        self.goal, self._ticks = goal, 0
+        self.goal, self.turn, self._ticks = goal, turn, 0
         self._grasps += 1
 
     def figures(self, malformed: int) -> Figures:
@@ -159,6 +172,10 @@ class BrowserGoal:
         if self._inlet is not None:
             self._pointer.tick(self._inlet.latest())
         return self._pointer.goal
+
+    def wanted_turn(self) -> Quaternion | None:
+        """The orientation of the pointer's grasp."""
+        return self._pointer.turn
 
     def begin(self, position: Floats) -> Floats:
         """The goal of the pointer, wherever the device is."""
@@ -270,6 +287,10 @@ class PointerHand(Hand):
         """The buttons that are held down at the source, bit by bit."""
         return self._source.buttons()
 
+    def wanted_turn(self) -> Quaternion | None:
+        """Where the source wants the device to be turned."""
+        return self._source.wanted_turn()
+
     def close(self) -> None:
         """Close the source. A second call does nothing."""
         self._source.close()
@@ -319,9 +340,12 @@ def pointer_hand(
     return PointerHand(Plant(device_of(hand), T, parts), Plant(bare_device_of(hand), T, parts), limits, T, source)
 
 
-def browser_goal(T: float, inlet: PointerInlet | None) -> Callable[[Follower], GoalSource]:
-    """Makes the source of goals of a browser's pointer; without an inlet nobody ever holds the device."""
-    return lambda follower: BrowserGoal(Pointer(len(follower.reach), follower.within, T), inlet)
+def browser_goal(T: float, inlet: PointerInlet | None, turns: bool = False) -> Callable[[Follower], GoalSource]:
+    """Makes the source of goals of a browser's pointer, which ``turns`` the device as well where that can be.
+
+    Without an inlet nobody ever holds the device.
+    """
+    return lambda follower: BrowserGoal(Pointer(len(follower.reach), follower.within, T, turns), inlet)
 
 
 def pointer_of(common: Common) -> PointerInlet | None:

@@ -23,6 +23,7 @@ from typing import Protocol
 from manyhands.nodes.device.pointer import Follower
 from manyhands.nodes.kernel.arithmetic import Floats
 from manyhands.nodes.kernel.buttons import picked
+from manyhands.nodes.kernel.orientation import Quaternion
 from manyhands.nodes.rows import figures as names
 from manyhands.protocol.messages import Figures
 
@@ -109,6 +110,10 @@ class RateGoal:
             self._goal = self._follower.within(wanted)
             self._clipped += self._goal != wanted
         return self._goal
+
+    def wanted_turn(self) -> Quaternion | None:
+        """None: what a person deflects moves the device, and does not turn it."""
+        return None
 
     def buttons(self) -> int:
         """Which of the session's buttons are held down, bit by bit; none of a device that has gone."""

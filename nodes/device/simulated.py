@@ -21,6 +21,7 @@ from manyhands.nodes.device.wall_time import WallTimeDriver
 from manyhands.nodes.kernel.arithmetic import NARROW, Floats, Rows, dot, linear_map, minus, plus
 from manyhands.nodes.kernel.bundle import SimulatedHand
 from manyhands.nodes.kernel.intent import Intent, intent_from
+from manyhands.nodes.kernel.orientation import Quaternion
 from manyhands.protocol.clock import Duration, Instant, from_seconds, seconds
 from manyhands.protocol.messages import Figures
 
@@ -196,6 +197,10 @@ class Hand(ABC):
         """The buttons that the hand holds down, bit by bit; most hands press none."""
         return 0
 
+    def wanted_turn(self) -> Quaternion | None:
+        """Where the hand wants the device to be turned; None while it does not, as most hands never do."""
+        return None
+
     @abstractmethod
     def figures(self) -> Figures:
         """The hand's own figures for the telemetry."""
@@ -261,6 +266,10 @@ class OwnTimeDriver:
         """The buttons that the hand holds down, bit by bit."""
         return self._hand.buttons()
 
+    def wanted_turn(self) -> Quaternion | None:
+        """Where the hand wants the device to be turned; None for a hand that does not turn it so."""
+        return self._hand.wanted_turn()
+
     def figures(self) -> Figures:
         """The hand's figures."""
         return self._hand.figures()
@@ -323,6 +332,10 @@ class HeldDeviceDriver(WallTimeDriver):
     def buttons(self) -> int:
         """The buttons that the hand holds down, bit by bit."""
         return self._hand.buttons()
+
+    def wanted_turn(self) -> Quaternion | None:
+        """Where the hand wants the device to be turned; None for a hand that does not turn it so."""
+        return self._hand.wanted_turn()
 
     def figures(self) -> Figures:
         """The hand's figures."""

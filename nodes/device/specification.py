@@ -6,6 +6,11 @@ scale c > 0:
     x_i = c s(i) X_j(i),        F_j(i) = c s(i) f_i,
 
 so that the power f^T dx = F^T dX is the same on both sides.
+
+**Orientation.** Where the map is the signed permutation P, an orientation of the driver's, by an angle about the unit
+vector u, is at the session the rotation by the same angle about det(P) P u, and a torque t of the session at the driver
+det(P) P^T t. Both are axial vectors: in a mirror they turn the other way. So the power t^T omega is the same, too, and
+the scale changes neither.
 """
 
 from __future__ import annotations
@@ -20,7 +25,16 @@ from manyhands.nodes.kernel.driver_statement import IMPOSED, NO_DELAY, DeviceTim
 from manyhands.nodes.kernel.inertia import Inertia
 from manyhands.protocol.limits import MAX_BY_ITSELF, MAX_SENTENCE
 
-__all__ = ["NO_DELAY", "ROUNDING", "AxisMap", "DeviceSpecification", "DeviceTiming", "promises_too_much", "up"]
+__all__ = [
+    "NO_DELAY",
+    "ROUNDING",
+    "AxisMap",
+    "DeviceSpecification",
+    "DeviceTiming",
+    "OrientationSpecification",
+    "promises_too_much",
+    "up",
+]
 """With what a driver of another package takes from here beside its specification."""
 
 SAMPLE_AGE: Final = "sample_age"
@@ -39,8 +53,76 @@ _MEASURED: Final = (
 ROUND: Final = 5e-5
 """s; a measured time is rounded up to multiples of it."""
 
+ORIENTED_AXES: Final = 3
+"""The axes of a device that tells its orientation: where its tool is in space."""
+
 ROUNDING = 1e-9
 """Relative; a limit that is stated in another frame than it is compared in is rounded."""
+
+
+WORLD: Final = "world"
+HOLDS: Final = (WORLD, "tool", "joints")
+"""In whose axes motors may hold a torque from tick to tick: the world's, the tool's, or as torques of joints."""
+
+
+@dataclass(frozen=True)
+class OrientationSpecification:
+    """What a driver states of its device's orientation.
+
+    Attributes:
+        speed: the greatest angular velocity that it measures rightly, rad/s.
+        torque: the greatest torque about any axis, N*m, which the hardware can hold; None where no motor turns it, and
+            its orientation is sensed alone.
+        holds: in whose axes its motors hold the torque between two calls, one of :data:`HOLDS`. A session can use a
+            torque that is held in the world's axes alone, for nothing is proved of the others. So a driver of such
+            motors may state no torque, and exert none.
+
+    Raises:
+        ValueError: a number is not finite and positive, or ``holds`` is none of them.
+    """
+
+    speed: float
+    torque: float | None = None
+    holds: str = WORLD
+
+    def __post_init__(self) -> None:
+        for what, value in (("speed", self.speed), ("torque", self.torque)):
+            if value is not None and not 0.0 < value < math.inf:
+                raise ValueError(f"orientation: {what}: found {value!r:.40}; expected a finite number greater than 0")
+        if self.holds not in HOLDS:
+            raise ValueError(f"orientation: holds: found {self.holds!r:.40}; expected one of {', '.join(HOLDS)}")
+
+    @property
+    def felt(self) -> bool:
+        """Whether a session may have a torque of it."""
+        return self.torque is not None and self.holds == WORLD
+
+    def session_keys(self) -> dict[str, Any]:
+        """The keys of a session's orientation that keep to it: the limits of a torque, or that it is sensed."""
+        return {"limits": {"torque": self.torque, "speed": self.speed}} if self.felt else {"sensed": True}
+
+    def promises_too_much(self, torque: float | None, speed: float | None) -> Iterator[str]:
+        """A sentence for each limit of a session's orientation that is beyond what is stated.
+
+        Args:
+            torque: the session's greatest, N*m; None where its orientation is sensed.
+            speed: likewise, rad/s.
+        """
+        if torque is None or speed is None:
+            return
+        if self.holds != WORLD:
+            held = "in the tool's axes" if self.holds == "tool" else "as torques of joints"
+            yield (
+                f"orientation: found a torque; expected sensed: true, for its motors hold it {held}, of which nothing "
+                "is proved"
+            )
+        if self.torque is None:
+            if self.holds == WORLD:
+                yield "orientation: found a torque; expected sensed: true, for no motor turns its device"
+            return
+        for what, found, most, unit in (("torque", torque, self.torque, "N·m"), ("speed", speed, self.speed, "rad/s")):
+            if found > most * (1.0 + ROUNDING):
+                yield f"orientation.limits.{what}: found {found:g} {unit}; expected at most {most:g} {unit}"
 
 
 @dataclass(frozen=True)
@@ -68,6 +150,8 @@ class DeviceSpecification:
         measured: which of :data:`TIMES` the driver measured at this start. Its next start may measure greater ones, so
             a session needs room above them (:meth:`promised`); a time that is not named is the same at every start.
         buttons: the names of its buttons, in the order of the bits that :meth:`DeviceDriver.buttons` returns.
+        orientation: what it states of its device's orientation, beside three axes that translate; None where it tells
+            none.
         hardware: whether forces act on a real mechanism, in real time. A simulated counterpart states False: it moves
             by the instants of the calls, and also takes part under the simulated clock.
 
@@ -89,6 +173,7 @@ class DeviceSpecification:
     moved_by_force: bool = True
     measured: tuple[str, ...] = ()
     buttons: tuple[str, ...] = ()
+    orientation: OrientationSpecification | None = None
 
     def __post_init__(self) -> None:
         m = len(self.force)
@@ -111,6 +196,11 @@ class DeviceSpecification:
         if isinstance(self.by_itself, str) or len(self.uncovered) > MAX_BY_ITSELF or not fit:
             expected = f"at most {MAX_BY_ITSELF} sentences, each printable and of at most {MAX_SENTENCE} characters"
             raise ValueError(f"by_itself: found {self.by_itself!r:.60}; expected {expected}")
+        if self.orientation is not None and (m != ORIENTED_AXES or self.turning):
+            expected = f"{ORIENTED_AXES} axes that translate, and form a right-handed frame"
+            raise ValueError(
+                f"orientation: found it beside {m} axes, {len(self.turning or ())} turning; expected {expected}"
+            )
         if isinstance(self.measured, str) or {*self.measured} - {*TIMES}:
             raise ValueError(f"measured: found {self.measured!r:.60}; expected names of {', '.join(TIMES)}")
 
@@ -167,7 +257,8 @@ class DeviceSpecification:
         if timing.actuation_delay:
             keys[ACTUATION_DELAY] = timing.actuation_delay
         keys |= {key: value for key, value in (("mass", self.mass), ("step", self.step)) if value is not None}
-        return keys | ({"held": "torque"} if self.holds_torque else {})
+        keys |= {"held": "torque"} if self.holds_torque else {}
+        return keys if self.orientation is None else keys | {"orientation": self.orientation.session_keys()}
 
 
 @dataclass(frozen=True)
@@ -198,6 +289,13 @@ class AxisMap:
     def gains(self) -> tuple[float, ...]:
         """By port, c s(i)."""
         return tuple(self.scale * sign for sign in self.signs)
+
+    @property
+    def turns(self) -> tuple[float, ...]:
+        """By port, the sign with which an axial vector, as a torque is one, has the driver's component axes[port]."""
+        swaps = sum(a > b for i, a in enumerate(self.axes) for b in self.axes[i + 1 :])
+        mirrored = math.prod(self.signs) * (-1.0) ** swaps  # det(P)
+        return tuple(mirrored * sign for sign in self.signs)
 
 
 def other_kinds(

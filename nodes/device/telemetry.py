@@ -28,6 +28,7 @@ from enum import StrEnum
 import numpy as np
 
 from manyhands.nodes.device.given import ForceGiven, Loss
+from manyhands.nodes.device.orientation import DeviceOrientation
 from manyhands.nodes.device.tick import DeviceTick
 from manyhands.nodes.kernel.bundle import REALTIME, Common, DeviceRung
 from manyhands.nodes.kernel.driver_statement import NO_DELAY, DeviceTiming
@@ -275,6 +276,7 @@ class DeviceTelemetry:
             names.TAU: {"p50": self._tau.quantile(0.5), "p99": self._tau.quantile(0.99)},
             names.PERIOD: {"p50": self._true_period.quantile(0.5), "p99": self._true_period.quantile(0.99)},
             names.LATE_CAUSE: self._lateness.table(),
+            **({names.BUTTONS_DOWN: self._device.buttons.table()} if self._common.buttons else {}),
             **of_driver.tables,
         }
         control.publish(Telemetry(self.ticks, Figures(numbers, tables), traces))
@@ -301,9 +303,9 @@ class DeviceTelemetry:
         }
 
     def _orientation_figures(self) -> dict[str, float]:
-        """How the account of its orientation stands, where that is a port."""
+        """How the account of its orientation stands, where it has one."""
         own = self._device.orientation
-        if own is None:
+        if not isinstance(own, DeviceOrientation):
             return {}
         return {
             names.ORIENTATION_LEAST: own.least,

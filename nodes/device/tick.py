@@ -24,6 +24,8 @@ any other driver tells them, if it can (``buttons()``).
 
 **Orientation.** A device that turns in space has its law here, too (:mod:`manyhands.nodes.device.orientation`). What
 rides with the sample is :attr:`DeviceTick.rides`, and what came with the answer is handed to :meth:`DeviceTick.exert`.
+One whose orientation is sensed alone has no torque, and nothing that came concerns it. A driver of another package is
+given the torque together with the force.
 
 **Encoder steps.** What a simulated device sends is rounded to the steps of its encoder. Its row, ledger and account
 have its true displacement, which no real device knows. So they count the energy that the steps put into the loop.
@@ -34,15 +36,24 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Final
+from typing import Final, Protocol, cast
 
 from manyhands.nodes.device.core import DeviceCore, Guard
 from manyhands.nodes.device.drivers import Driver
 from manyhands.nodes.device.interface import DeviceInterface, interface_of
-from manyhands.nodes.device.orientation import DeviceOrientation
+from manyhands.nodes.device.orientation import (
+    Body,
+    DeviceOrientation,
+    DriverBody,
+    Oriented,
+    SensedOrientation,
+    Telling,
+    TurnedBody,
+)
 from manyhands.nodes.device.plugin import PluginDriver
+from manyhands.nodes.device.wrist import Wrist
 from manyhands.nodes.kernel.arithmetic import Floats
-from manyhands.nodes.kernel.bundle import WALL, DeviceBundle, SimulatedHand
+from manyhands.nodes.kernel.bundle import WALL, DeviceBundle, OrientationPart, PersonHand, SensedPart, SimulatedHand
 from manyhands.nodes.kernel.buttons import Buttons, scripted
 from manyhands.nodes.kernel.orientation import NO_RIDER
 from manyhands.nodes.kernel.passivity import Ledger
@@ -57,6 +68,16 @@ _EQUAL: Final = 1.0 + 1e-9
 """Of a speed: that of a difference of displacements, in doubles."""
 
 NO_INSTANTS: Final = (Instant(0), Instant(0), Instant(0))
+
+
+class WrenchDriver(Protocol):
+    """A driver that exerts a torque together with its force."""
+
+    def apply_wrench(
+        self, f: Sequence[float], torque: Sequence[float], at: Instant, until: Instant | None = None
+    ) -> Sequence[float] | None:
+        """Exert f (N) of the ports and a torque (N*m) about the world's axes, as :meth:`Driver.apply`."""
+        ...
 
 
 class DeviceTick(ABC):
@@ -82,7 +103,7 @@ class DeviceTick(ABC):
         changed: of them, those that changed with its sample.
         done: the work of motors that hold torques until the sample of the last tick, and from then until its force, J;
             NaN where it is not known. Empty for others.
-        orientation: its orientation, with the torque; None where that is no port.
+        orientation: its orientation, with the torque if it has one; None where that is no port.
     """
 
     interface: DeviceInterface | None = None
@@ -115,7 +136,11 @@ class DeviceTick(ABC):
         self.instants: Instants = NO_INSTANTS
         self.done: tuple[float, ...] = ()
         self._until_sampled = math.nan
-        self.orientation = _orientation_of(bundle)
+        self.orientation = _orientation_of(bundle, driver)
+        # of a driver of another package that exerts a torque, too
+        own = bundle.orientation
+        felt = isinstance(own, OrientationPart) and own.source is None
+        self._wrench: WrenchDriver | None = cast("WrenchDriver", driver) if felt else None
 
     @property
     def rides(self) -> Floats:
@@ -156,8 +181,16 @@ class DeviceTick(ABC):
             self.sent = interface.send(x, goal, at, work)
             self._until_sampled = math.nan if work is None else work
             if interface.shortened:
-                self.driver.apply(interface.exerted, at, interface.until)
+                self._exert_now(interface.exerted, at, interface.until)
+                if self.orientation is not None and self._wrench is not None and interface.until is not None:
+                    self.orientation.shorten(interface.until)
         return self.sent
+
+    def _exert_now(self, f: Floats, at: Instant, until: Instant | None) -> Sequence[float] | None:
+        """Exert f (N), and the orientation's torque where the driver exerts one; returns as :meth:`Driver.apply`."""
+        if self._wrench is None or self.orientation is None:
+            return self.driver.apply(f, at, until)
+        return self._wrench.apply_wrench(f, self.orientation.torque, at, until)
 
     def _read_buttons(self, turn: int, at: Instant) -> None:
         if self._scripts:
@@ -215,7 +248,7 @@ class DeviceTick(ABC):
     @abstractmethod
     def row(self) -> Row:
         """x, f_v, the ledger's total; in wall time also e(k), x at the instant of the force, the instants, the work;
-        then R, Q, the torque, what was proposed, and the account of an orientation.
+        then R, Q, the torque, what was proposed, and the account of an orientation; R alone of one that is sensed.
 
         A part without numbers stands for what a device in its own time has not. The parts of an orientation are there
         where it is a port.
@@ -225,9 +258,9 @@ class DeviceTick(ABC):
     def _row_of_orientation(self) -> Row:
         return () if self.orientation is None else self.orientation.row()
 
-    def _turn(self, came: Sequence[float], at: Instant) -> None:
+    def _turn(self, came: Sequence[float], at: Instant, until: Instant | None = None) -> None:
         if self.orientation is not None:
-            self.orientation.exert(came, at, self.guard.ratio)
+            self.orientation.exert(came, at, self.guard.ratio, None if self._wrench is None else until)
 
     def _release_turn(self, at: Instant) -> None:
         if self.orientation is not None:
@@ -254,6 +287,8 @@ class DeviceTick(ABC):
         self.core.change(*self._promises[rung])
         if self.interface is not None:
             self.interface.change(of.share, of.tau, of.period_tolerance)
+        if self.orientation is not None:
+            self.orientation.change(self._rungs[rung])
 
 
 class OwnTimeTick(DeviceTick):
@@ -277,8 +312,8 @@ class OwnTimeTick(DeviceTick):
         """Exert what the limits allow, or the recorded force."""
         held = self.guard.clip(asked)
         self.held = exerted = held if recorded is None else recorded
-        self.driver.apply(exerted, at)
         self._turn(came, at)
+        self._exert_now(exerted, at, None)
         return held
 
     def book(self) -> None:
@@ -336,8 +371,8 @@ class WallTimeTick(DeviceTick):
         if self.guard.leaving:
             self.wall_interface.given.leaves()
         self.held = exerted = held if recorded is None else recorded
-        self._moved = self.driver.apply(exerted, at, until)
-        self._turn(came, at)
+        self._turn(came, at, until)
+        self._moved = self._exert_now(exerted, at, until)
         self._asked, self._applied, self._until = asked, at, until
         return held
 
@@ -378,12 +413,28 @@ def in_steps(x: Floats, steps: Sequence[float]) -> Floats:
     return [q * math.floor(at / q + 0.5) if q > 0.0 else at for at, q in zip(x, steps, strict=True)]
 
 
-def _orientation_of(bundle: DeviceBundle) -> DeviceOrientation | None:
-    """The orientation of a device, upright; a torque is held until it is stale, and one period more."""
-    if bundle.orientation is None:
+def _orientation_of(bundle: DeviceBundle, driver: Driver) -> Oriented | None:
+    """The orientation of a device; a torque is held until it is stale, and one period more."""
+    own, T = bundle.orientation, bundle.common.period
+    if own is None:
         return None
+    body = _body_of(own, bundle, driver)
+    if isinstance(own, SensedPart):
+        return SensedOrientation(body, T, bundle.time == WALL)
     longest = longest_hold(bundle.common) if bundle.time == WALL else None
-    return DeviceOrientation(bundle.orientation, bundle.common.period, bundle.rungs[0], bundle.allowance, longest)
+    return DeviceOrientation(own, T, bundle.rungs[0], bundle.allowance, longest, body, bundle.timing)
+
+
+def _body_of(own: OrientationPart | SensedPart, bundle: DeviceBundle, driver: Driver) -> Body:
+    """What the hand turns: what the driver tells of, or a simulated body, which a person may turn."""
+    source, T = own.source, bundle.common.period
+    if source is None:
+        return DriverBody(cast("Telling", driver))
+    goal = getattr(driver, "wanted_turn", None) if isinstance(bundle.source, PersonHand) else None
+    if goal is None:
+        return TurnedBody(source, T)
+    most, speed = (own.torque, own.speed) if isinstance(own, OrientationPart) else (math.inf, math.inf)
+    return TurnedBody(source, T, Wrist(goal, source.inertia, most, speed, T))
 
 
 def tick_of(bundle: DeviceBundle, driver: Driver) -> DeviceTick:

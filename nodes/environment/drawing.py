@@ -68,6 +68,8 @@ class Frame:
         turns: whether it may turn, which is not reported.
         axes: by port of those that turn it, a point of the axis at the start, m.
         oriented: whether its orientation is reported besides its position.
+        pivot: of what a hand turns, a point about which it does, at the start, m; None where no hand does. The axes
+            of its ports then translate it alone.
     """
 
     at: Point
@@ -78,6 +80,7 @@ class Frame:
     turns: bool = False
     axes: Added[Mapping[str, Point]] = field(default_factory=dict)
     oriented: Added[bool] = False
+    pivot: Added[Point | None] = None
 
 
 @dataclass(frozen=True)
@@ -129,9 +132,10 @@ class WorldDrawing:
         for name, frame in self.frames.items():
             if len(frame.ports) != len(frame.directions):
                 raise ValueError(f"drawing.frames.{name}: expected a direction for each port")
+            if frame.pivot is not None and (frame.axes or not frame.ports):
+                raise ValueError(f"drawing.frames.{name}: found a pivot; expected ports that translate it alone")
             if not frame.axes.keys() <= {*frame.ports}:
                 raise ValueError(f"drawing.frames.{name}: found an axis of no port of it; expected those of its ports")
-            if not all(
-                map(math.isfinite, (*frame.at, *frame.turn, *sum((*frame.directions, *frame.axes.values()), ())))
-            ):
+            points = (*frame.directions, *frame.axes.values(), frame.pivot or ())
+            if not all(map(math.isfinite, (*frame.at, *frame.turn, *sum(points, ())))):
                 raise ValueError(f"drawing.frames.{name}: found a number that is not finite")

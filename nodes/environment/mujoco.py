@@ -187,7 +187,7 @@ class MujocoEngine:
     def drawing(self) -> WorldDrawing:
         """What the model looks like where it stands, to be asked for before the first step."""
         bodies = dict(zip(self._bodies, self._names, strict=True))
-        return drawing_of(self._mujoco, self._model, self._data, self._tools, bodies, self._oriented)
+        return drawing_of(self._mujoco, self._model, self._data, self._tools, bodies, self._oriented, self._avatars)
 
     def positions(self) -> list[float]:
         """x, y and z of each reported body, m, at the beginning of MuJoCo's latest step."""

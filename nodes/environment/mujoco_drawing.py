@@ -1,7 +1,8 @@
 """What a MuJoCo model looks like: its geoms, by the frames in which they move (:mod:`.drawing`).
 
 Bodies without a joint between them move as one. Such a group is moved by the joints of tools between it and the world,
-or it is reported as a body, or it does not move at all; every other group is left out and named.
+perhaps with a ball joint by which a hand turns it, or it is reported as a body, or it does not move at all; every other
+group is left out and named.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ def drawing_of(
     tools: Mapping[int, str],
     bodies: Mapping[int, str],
     oriented: Collection[str] = (),
+    avatars: Collection[int] = (),
 ) -> WorldDrawing:
     """The drawing of a model at its start.
 
@@ -44,8 +46,9 @@ def drawing_of(
         tools: the port of each joint that is an axis of a tool, by the joint's id.
         bodies: the name of each reported body, by its id.
         oriented: the names of those whose orientations are reported, too.
+        avatars: the ids of the ball joints by which hands turn tools.
     """
-    return _Drawn(mujoco, model, data, tools, bodies, oriented).drawing()
+    return _Drawn(mujoco, model, data, tools, bodies, oriented, avatars).drawing()
 
 
 class _Drawn:
@@ -57,9 +60,11 @@ class _Drawn:
         tools: Mapping[int, str],
         bodies: Mapping[int, str],
         oriented: Collection[str],
+        avatars: Collection[int],
     ) -> None:
         self._mujoco, self._model, self._data = mujoco, model, data
         self._tools, self._bodies, self._oriented = tools, bodies, frozenset(oriented)
+        self._avatars = frozenset(avatars)
         self._shapes = {int(getattr(mujoco.mjtGeom, f"mjGEOM_{shape.upper()}")): shape for shape in SHAPES}
         self._left, self._large = MOST_DRAWN, list[str]()
 
@@ -77,6 +82,10 @@ class _Drawn:
             body = reported.get(group, group)
             ports = {self._tools[joint]: joint for joint in reversed(joints) if joint in self._tools}
             name = self._bodies.get(body) or self._name("BODY", body)
+            if joints[0] in self._avatars and len(ports) == len(joints) - 1:
+                names[group] = name, group
+                frames[name] = self._turned(group, ports, joints[0])
+                continue
             if group not in reported and len(ports) < len(joints):
                 hidden.append(name)
                 groups.pop(group, None)
@@ -101,6 +110,12 @@ class _Drawn:
             for shape in self._shape(geom, *names.get(group, ("", _WORLD)))
         ]
         return WorldDrawing("z", frames, tuple(shapes), tuple(hidden), tuple(self._large))
+
+    def _turned(self, body: int, ports: Mapping[str, int], ball: int) -> Frame:
+        """The frame of a tool that its hand turns, whether it is reported as a body besides or not."""
+        pose = self._pose(self._data.xpos[body], self._data.xmat[body])
+        directions = tuple(_point(self._data.xaxis[joint]) for joint in ports.values())
+        return Frame(*pose, tuple(ports), directions, pivot=_point(self._data.xanchor[ball]))
 
     def _shape_of(self, geom: int) -> str:
         """The shape of a geom; empty for a kind that is not drawn, as a height field."""

@@ -48,6 +48,7 @@ from manyhands.nodes.rows import figures as names
 from manyhands.nodes.rows.lateness import CouplingLateness, lateness_tables
 from manyhands.nodes.rows.tick_events import TickEvents
 from manyhands.nodes.rows.two_port import RowBuffer
+from manyhands.nodes.wave_link.faces import wave_feedthrough
 from manyhands.nodes.wave_link.rows import world_row
 from manyhands.protocol.clock import Clock, Duration, Instant, RealtimeClock, from_seconds
 from manyhands.protocol.handshake import HandshakeRefused
@@ -222,11 +223,14 @@ class EnvironmentNode:
         m = len(common.ports)
         D_V = np.zeros((m, m))
         for join in self.joins:
-            if join.hello is None:  # absent; its hello brings D_V when it comes
+            ports, wave = np.arange(m)[join.indices], bundle.waves.get(join.peer.name)
+            if join.hello is not None:
+                self._require_feedthrough(join.hello)
+                own = self._feedthrough[join.peer.name] = np.array(join.hello.feedthrough)
+            elif wave is not None:  # a seat that nobody has taken: the face here is what the world meets
+                own = np.array(wave_feedthrough(wave.b, common.period))
+            else:  # absent; its hello brings D_V when it comes
                 continue
-            self._require_feedthrough(join.hello)
-            ports = np.arange(m)[join.indices]
-            own = self._feedthrough[join.peer.name] = np.array(join.hello.feedthrough)
             D_V[np.ix_(ports, ports)] = own
         blocks = [join.indices for join in self.joins]
         self.core = environment_core(self._bundle, D_V, blocks)

@@ -9,6 +9,10 @@ with R the hand's orientation of the tick and A the avatar's before the step, an
 finds. Where it is after the step is the proxy that the hand is proposed. The hand tests the proposal itself, so nothing
 is assumed of the engine here. An avatar whose hand is not there feels no torque, and nothing is proposed to that hand.
 
+**Hands that feel nothing.** A hand whose orientation is sensed leads its avatar by the same spring, and no torque acts
+on it. What it states of deposits is energy that nobody put in, so it has no account here: nothing is taken from it, and
+nothing granted to it. All other hands are as safe from its avatar as from any other body of the engine.
+
 **What is granted.** The bank grants a hand what its account lacks for the whole step. Its account is at the hand, so a
 copy of its spring is kept here. A hand deposits at once what it does not need, so its account is always D - G: what it
 deposits corrects the copy in every tick, and only the proxy of a hand that missed an answer is guessed. No claim rests
@@ -45,17 +49,13 @@ class _Tool:
 
     def __init__(self, of: OrientedTool) -> None:
         self.of = of
-        self.spring = OrientationSpring(of.stiffness, of.torque)  # a copy of the hand's
+        # a copy of the hand's; a sensed one has none
+        self.spring = None if of.torque is None else OrientationSpring(of.stiffness, of.torque)
         self.R: Quaternion | None = None
-        self.life, self.lives = 0.0, 0
+        self.life, self.known, self.lives = 0.0, 0.0, 0  # of this tick, the last that was one, and how many there were
         self.away = 0  # ticks in a row in which nothing came
         self.heard: Sequence[float] = NO_RIDER
         self.told: Sequence[float] = NO_RIDER
-
-    def hear(self, deposited: float, granted: float) -> None:
-        """Take over what the hand has deposited, J, and what it was granted in its life, J: its account is D - G."""
-        copy = self.spring
-        copy.deposited, copy.granted, copy.account = deposited, granted, deposited - granted
 
 
 class OrientedTools:
@@ -69,7 +69,7 @@ class OrientedTools:
         """Ask an engine, whose avatars stand upright, about ``tools``."""
         self._tools, self._asked = [_Tool(of) for of in tools], asked
         self._at = [UPRIGHT] * len(tools)  # of the avatars, after the last step
-        self.bank = OrientationBank(tuple(of.device for of in tools), power={of.device: of.power for of in tools})
+        self.bank = bank_of(tools)
 
     def hear(self, riders: Sequence[float], tick: int) -> None:
         """Take what came with the signals of ``tick``, and turn the avatars by their springs in the engine's next step.
@@ -84,18 +84,24 @@ class OrientedTools:
             deposited, life = total(numbers[4]), numbers[5]
             R = unit(numbers[:4]) if is_life(life) else None  # no answer could be for a hand without a life
             if R is not None:
-                anew = life != self.bank.lives[tool.of.device]
-                self.bank.deposit(tool.of.device, deposited, life, tick)
-                tool.lives += anew
-                if anew or tool.away > STALE_TICKS:  # it has let go meanwhile
-                    tool.spring.proxy = R
-                tool.hear(deposited, self.bank.granted[tool.of.device])
+                anew = life != tool.known
+                tool.known, tool.lives = life, tool.lives + anew
+                if tool.spring is not None:
+                    self._account(tool, tool.spring, deposited, tick)
+                    if anew or tool.away > STALE_TICKS:  # it has let go meanwhile
+                        tool.spring.proxy = R
             tool.R, tool.life = R, life
             tool.away = 0 if R is not None else tool.away + 1
             tool.heard = NO_RIDER if R is None else (*numbers[:4], deposited, float(tool.lives))
             if R is not None:
                 torques[3 * i : 3 * i + 3] = [-t for t in torque(tool.of.stiffness, R, at)]
         self._asked.turn(torques)
+
+    def _account(self, tool: _Tool, copy: OrientationSpring, deposited: float, tick: int) -> None:
+        """Take in what the hand has deposited, J; its account is D - G."""
+        self.bank.deposit(tool.of.device, deposited, tool.known, tick)
+        copy.deposited, copy.granted = deposited, self.bank.granted[tool.of.device]
+        copy.account = copy.deposited - copy.granted
 
     def answer(self) -> Floats:
         """What rides with the forces of the tick, after the engine's step."""
@@ -104,6 +110,8 @@ class OrientedTools:
         for tool, at in zip(self._tools, self._at, strict=True):
             if tool.R is None:
                 tool.told = NO_RIDER
+            elif tool.spring is None:
+                tool.told = (*at, 0.0, tool.life)
             else:
                 device = tool.of.device
                 granted = self.bank.grant(device, tool.spring.lacks(tool.R, at))
@@ -126,3 +134,9 @@ class OrientedTools:
     def told(self) -> Floats:
         """By tool, what its hand was told: proxy and grants; zeros for nothing."""
         return [number for tool in self._tools for number in tool.told[: RIDER - 1]]
+
+
+def bank_of(tools: Sequence[OrientedTool]) -> OrientationBank:
+    """The bank of a world: with an account for each hand that feels a torque, and none for one that is sensed."""
+    power = {tool.device: tool.power for tool in tools if tool.power is not None}
+    return OrientationBank(tuple(power), power=power)

@@ -41,6 +41,7 @@ from manyhands.nodes.kernel.bundle import (
     Common,
     CouplingBundle,
     DeviceBundle,
+    OrientationPart,
     WaveEnd,
     elsewhere,
     foreign_code,
@@ -148,6 +149,31 @@ def felt(coupling: CouplingBundle, trips: Sequence[Duration]) -> FeltDistance:
     play_out = depth + _turn(wave, period) + 0.5 * (period + wave.peer_period)
     felt_as = stiffness_and_mass(_impedance(wave), network + play_out)
     return FeltDistance(network, play_out, *felt_as, Units.of(coupling.common.kinds))
+
+
+SMOOTH: Final = 4.0
+"""k R/b, up to which a tool that is far away was seen to turn without a buzz (0054-orientation.md, Measured)."""
+
+
+def turning_sentence(device: DeviceBundle, network: float) -> str | None:
+    """What turning a tool so far away feels like; None for a device whose hand feels no torque.
+
+    The proxy that comes back is that of a hand R before. So in free space the spring drags like a damper k R, and
+    beyond :data:`SMOOTH` it buzzes. R is that of the network alone: a proxy waits for no play-out.
+
+    Args:
+        device: at the seat.
+        network: the shortest time that a frame took to the session and back, s.
+    """
+    own = device.orientation
+    if not isinstance(own, OrientationPart):  # no port, or no torque
+        return None
+    drag, R = own.stiffness * network, _ms(network)
+    buzzes = f", and buzzes: {SMOOTH * own.osp / network:.3g} N·m/rad would not" if drag > SMOOTH * own.osp else ""
+    return (
+        f"turning drags like about {drag:.3g} N·m·s/rad, for what the tool answers is {R} old; its spring of "
+        f"{own.stiffness:.3g} N·m/rad is what a wall feels like{buzzes}"
+    )
 
 
 def felt_as_measured(coupling: CouplingBundle, R: float) -> str:
@@ -467,6 +493,8 @@ class _Visit:
         _say(f"{self._invitation.seat}: ports {', '.join(coupling.common.ports)}, a tick every {1e3 * period:.3g} ms")
         self._distance = felt(coupling, trips)
         _say(self._distance.sentence())
+        if (turning := turning_sentence(device, self._distance.network)) is not None:
+            _say(turning)
         _say(f"{force_sentence(device)}; --max-force N bounds it here")
         if not self._sure and not answered_yes(f"take the seat {self._invitation.seat}? [y/N] ", life.check):
             _say("not joined")

@@ -231,6 +231,7 @@ class DeviceRung:
         period_tolerance: rho; the time between two samples is at most (1 + rho) T; dimensionless, 0 ... 1.
         share: kappa, share and c; G_hat is (share Delta_D)-OSP with K = kappa T Delta_D^{-1}, and its storage has the
             weight c of the last force step. An uncertified session has the paper's values without delay.
+        turning: k of the spring at the device's orientation, N*m/rad; None where no torque acts there.
 
     Raises:
         ValueError: a number is out of its range.
@@ -239,8 +240,11 @@ class DeviceRung:
     tau: Annotated[float, _TIME]
     period_tolerance: float
     share: DeviceShare
+    turning: Added[float | None] = None
 
     def __post_init__(self) -> None:
+        if self.turning is not None and not 0.0 < self.turning < math.inf:
+            raise ValueError(f"found the stiffness {self.turning} of an orientation; expected a finite positive number")
         if not 0.0 <= self.period_tolerance <= 1.0:
             raise ValueError(f"found the period tolerance {self.period_tolerance}; expected 0 ... 1")
         if not (0.0 < self.share.kappa < math.inf and 0.0 < self.share.share <= 1.0 and 0.0 <= self.share.c < math.inf):
@@ -483,7 +487,7 @@ class OrientationPart:
         stiffness: k of the spring to its proxy, N*m/rad.
         torque: its greatest torque, N*m.
         speed: its greatest angular velocity, rad/s.
-        source: what turns it.
+        source: what turns it; None where the driver of another package tells the orientation.
 
     Raises:
         ValueError: a number is not finite and positive.
@@ -493,7 +497,7 @@ class OrientationPart:
     stiffness: float
     torque: float
     speed: float
-    source: TurnedHand
+    source: TurnedHand | None
 
     def __post_init__(self) -> None:
         for found in (self.osp, self.stiffness, self.torque, self.speed):
@@ -507,14 +511,38 @@ class OrientationPart:
 
 
 @dataclass(frozen=True)
+class SensedPart:
+    """The same of a device that only senses its orientation: no torque acts on its hand, and it has no account.
+
+    Attributes:
+        stiffness: k of the spring by which the tool's avatar follows it, N*m/rad.
+        source: what turns it; None where the driver of another package tells the orientation.
+
+    Raises:
+        ValueError: the stiffness is not finite and positive.
+    """
+
+    stiffness: float
+    source: TurnedHand | None
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.stiffness < math.inf:
+            raise ValueError(f"found the stiffness {self.stiffness} of an orientation; expected a finite positive one")
+
+
+OrientationOf: TypeAlias = Annotated[OrientationPart | SensedPart, by_kind(felt=OrientationPart, sensed=SensedPart)]
+"""What a device has of its orientation: with the torque that its hand feels, or sensed alone."""
+
+
+@dataclass(frozen=True)
 class OrientedTool:
     """A tool that a hand turns, as the environment knows it.
 
     Attributes:
         device: the hand's device.
         stiffness: k of the spring between hand and avatar, N*m/rad.
-        torque: the device's greatest torque, N*m.
-        power: the most that its hand can put in within a tick, J.
+        torque: the device's greatest torque, N*m; None where the orientation is sensed and no torque acts.
+        power: the most that its hand can put in within a tick, J; None likewise, for such a hand has no account.
 
     Raises:
         ValueError: a number is not finite and positive.
@@ -522,13 +550,20 @@ class OrientedTool:
 
     device: str
     stiffness: float
-    torque: float
-    power: float
+    torque: float | None
+    power: float | None
 
     def __post_init__(self) -> None:
+        if (self.torque is None) != (self.power is None):
+            raise ValueError(f"found a torque of {self.torque} with a power of {self.power}; expected both, or neither")
         for found in (self.stiffness, self.torque, self.power):
-            if not 0.0 < found < math.inf:
+            if found is not None and not 0.0 < found < math.inf:
                 raise ValueError(f"found the number {found} of a tool that turns; expected finite positive ones")
+
+    @property
+    def sensed(self) -> bool:
+        """Whether no torque acts on its hand."""
+        return self.torque is None
 
 
 NOTHING = LatenessAllowance(0.0)
@@ -562,7 +597,8 @@ class DeviceBundle:
         ValueError: Delta_D is not symmetric positive definite with a row for each port, the axes of the source are not
             the ports, those of the friction neither, friction counts on displacements that are measured to no known
             step, the rungs' delays do not grow, the time is unknown, it is wall time under the simulated clock, the
-            held torques leave nothing of Delta_D at a rung, or it has an orientation and not three ports.
+            held torques leave nothing of Delta_D at a rung, or it has an orientation and not three ports, or one that
+            nothing turns.
     """
 
     common: Common
@@ -576,7 +612,7 @@ class DeviceBundle:
     held: Added[HeldTorque | None] = None
     friction: Added[DryFriction | None] = None
     scripts: Added[tuple[Script, ...]] = ()
-    orientation: Added[OrientationPart | None] = None
+    orientation: Added[OrientationOf | None] = None
 
     def __post_init__(self) -> None:
         m = len(self.common.ports)
@@ -584,6 +620,10 @@ class DeviceBundle:
             raise ValueError(f"found {len(self.scripts)} scripts of {len(self.common.buttons)} buttons; expected each")
         if self.orientation is not None and m != 3:
             raise ValueError(f"found an orientation beside {m} ports; expected three, which translate")
+        if self.orientation is not None and (self.orientation.source is None) != isinstance(self.source, PluginDevice):
+            raise ValueError(
+                "found an orientation that nothing turns, or two; expected the driver's, or a simulated one"
+            )
         if self.time not in TIMES or (self.time == WALL and self.common.clock == SIMULATED):
             raise ValueError(
                 f"found a device in the time {self.time!r:.40} under the {self.common.clock} clock; expected {WALL} "

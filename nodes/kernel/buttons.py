@@ -58,6 +58,10 @@ class Buttons:
             if changed >> i & 1:
                 yield name, bool(self.state >> i & 1)
 
+    def table(self) -> dict[str, float]:
+        """By button, 1 while it is held down, else 0."""
+        return {name: float(self.state >> i & 1) for i, name in enumerate(self.names)}
+
 
 def picked(state: int, numbers: Sequence[int]) -> int:
     """The state of some buttons among others: bit i is the bit ``numbers[i]`` of ``state``."""

@@ -50,6 +50,10 @@ class DeviceTiming:
         return self.sample_age if self.age_jitter is None else self.age_jitter
 
 
+SENSED: Final = "sensed"
+FELT: Final = "felt"
+
+
 @dataclass(frozen=True)
 class DriverWord:
     """The driver of another package that a device has: what is believed of it, because nothing here can check it.
@@ -64,6 +68,7 @@ class DriverWord:
         friction: what it burns at least, by axis, likewise, N; None where none is stated.
         torques: whether its motors hold joint torques from tick to tick, in place of the force.
         by_itself: what the session states that the device does by itself; its driver may state more.
+        turns: whether it tells its orientation: :data:`SENSED`, or :data:`FELT` with a torque; empty for none.
     """
 
     factory: str
@@ -73,6 +78,7 @@ class DriverWord:
     friction: Added[tuple[float, ...] | None] = None
     torques: Added[bool] = False
     by_itself: Added[tuple[str, ...]] = ()
+    turns: Added[str] = ""
 
     def believed(self, measured: bool) -> tuple[str, ...]:
         """Everything that rests on the driver's word; ``measured`` is whether it measures the force that it exerts."""
@@ -90,6 +96,13 @@ class DriverWord:
             found += ["that its motors hold joint torques of the stated linkage", "the work of these motors"]
         else:
             found.append("that it holds the force at the tip from tick to tick")
+        if self.turns:
+            found.append("its orientation")
+        if self.turns == FELT:
+            found += [
+                "its damping in turning",
+                "that it holds the torque that it was given, about axes at rest",
+            ]
         found.append("its own measurement of the force" if measured else "that it exerts the force that it was given")
         return tuple(found)
 

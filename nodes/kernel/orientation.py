@@ -46,6 +46,9 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 Vector3 = tuple[float, float, float]
 """In the world's axes."""
 
@@ -96,7 +99,7 @@ def unit(numbers: Sequence[float]) -> Quaternion | None:
     square = w * w + x * x + y * y + z * z
     if not abs(square - 1.0) <= _UNIT:  # so for NaN
         return None
-    return _normalised(numbers)
+    return normalised(numbers)
 
 
 def is_life(number: float) -> bool:
@@ -143,6 +146,15 @@ def angle(R: Quaternion, Q: Quaternion) -> float:
     return 2.0 * math.atan2(math.sqrt(x * x + y * y + z * z), abs(w))
 
 
+def angles(R: NDArray[np.float64], Q: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Theta of each row of two traces of unit quaternions, ticks x 4: ticks, rad; NaN where a number is not finite."""
+    with np.errstate(invalid="ignore", over="ignore"):  # a trace is what a node has sent
+        near = np.where(np.einsum("ij,ij->i", R, Q) < 0.0, -Q.T, Q.T).T  # Q and -Q are one orientation
+        apart, together = np.linalg.norm(R - near, axis=1), np.linalg.norm(R + near, axis=1)
+        known = np.isfinite(apart + together)
+    return np.where(known, 4.0 * np.arctan2(apart, together), np.nan)
+
+
 def yielded(k: float, R: Quaternion, old: Quaternion, new: Quaternion) -> float:
     """Y of a proxy's step from ``old`` to ``new``, J: what it adds to the account of a hand that is at R."""
     a, b = torque(k, R, old), torque(k, R, new)
@@ -155,10 +167,11 @@ def turned_by(R: Quaternion, turn: Sequence[float]) -> Quaternion:
     x, y, z = turn
     far = math.sqrt(x * x + y * y + z * z)
     scale = 0.5 if far < 1e-8 else math.sin(0.5 * far) / far  # sin is its argument to the last digits
-    return _normalised(product(Quaternion(math.cos(0.5 * far), scale * x, scale * y, scale * z), R))
+    return normalised(product(Quaternion(math.cos(0.5 * far), scale * x, scale * y, scale * z), R))
 
 
-def _normalised(numbers: Sequence[float]) -> Quaternion:
+def normalised(numbers: Sequence[float]) -> Quaternion:
+    """The unit quaternion in the direction of four numbers that are not all 0."""
     norm = math.sqrt(math.fsum(number * number for number in numbers))
     return Quaternion(*(number / norm for number in numbers))
 
@@ -172,7 +185,7 @@ def between(old: Quaternion, new: Quaternion, part: float) -> Quaternion:
         a, b = 1.0 - part, part * sign
     else:
         a, b = math.sin((1.0 - part) * half) / math.sin(half), sign * math.sin(part * half) / math.sin(half)
-    return _normalised([a * p + b * q for p, q in zip(old, new, strict=True)])
+    return normalised([a * p + b * q for p, q in zip(old, new, strict=True)])
 
 
 class OrientationSpring:
@@ -254,6 +267,11 @@ class OrientationSpring:
         self.account += yielded(self._k, R, self.proxy, R)
         self.proxy = R
         self.deposited = max(self.deposited, self.account + self.granted)
+
+    def change(self, stiffness: float, R: Quaternion) -> None:
+        """Take another stiffness, N*m/rad, at rest: the proxy comes to the device first, so that nothing is stored."""
+        self.release(R)
+        self._k = stiffness
 
     def lose(self, R: Quaternion) -> None:
         """Begin anew at R: the torque has ended at an unknown orientation, and what the spring had stored is lost."""

@@ -9,11 +9,9 @@ from __future__ import annotations
 
 import heapq
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from random import Random
-
-from manyhands.nodes.kernel.arithmetic import Floats
 
 
 @dataclass(frozen=True)
@@ -40,8 +38,9 @@ class SimulatedWay:
             raise ValueError(f"found {self}; expected finite times of at least 0 s, and a loss of at least 0, below 1")
 
 
-Kept = tuple[int, Floats, float, int, int]
-"""A wave as a face hears it: its tick, its sums, the energy shipped, its life, and the buttons that are held down."""
+Kept = tuple[int, Sequence[float], float, int, int, tuple[float, ...]]
+"""A wave as a face hears it: its tick, its sums, the energy shipped, its life, the buttons that are held down, and what
+rides with it."""
 
 
 class WavesUnderWay:

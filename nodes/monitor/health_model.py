@@ -83,7 +83,7 @@ class Terms:
         drivers: the devices that drivers of other packages move, with what rests on their word.
         couplings: of each device.
         units: of each node's ports; those that are left out translate.
-        hands: the devices whose orientation is a port.
+        turned: the devices whose hands feel a torque of their orientation, and so have an account of it.
     """
 
     period: float
@@ -100,7 +100,7 @@ class Terms:
     drivers: Mapping[str, DriverWord] = field(default_factory=dict)
     couplings: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     units: Mapping[str, Units] = field(default_factory=dict)
-    hands: tuple[str, ...] = ()
+    turned: tuple[str, ...] = ()
 
     @property
     def promises(self) -> Iterator[Promise]:
@@ -109,7 +109,7 @@ class Terms:
         made = {
             Promise.PASSIVITY: self.certified,
             Promise.DRIVER: bool(self.drivers),
-            Promise.ORIENTATION: self.certified and bool(self.hands),
+            Promise.ORIENTATION: self.certified and bool(self.turned),
             Promise.DELAY: late,
             Promise.PERIOD: late,
             Promise.LATENESS: late and bool(self.wall),

@@ -36,6 +36,7 @@ from manyhands.nodes.monitor.health_model import Terms
 from manyhands.nodes.rows import figures as names
 from manyhands.nodes.rows.own_ticks import session_tick
 from manyhands.nodes.rows.promises import Promise
+from manyhands.nodes.rows.tick_events import Kind, events_in
 from manyhands.nodes.wave_link.felt import FeltLink, felt_link
 from manyhands.protocol.channels import Topic, hands_at, links_at, topics_of
 from manyhands.protocol.clock import Instant, from_seconds
@@ -173,6 +174,7 @@ class About:
         turning: the ports and bodies that turn, whose traces are in rad and N·m.
         oriented: the bodies whose orientations the environment reports.
         hands: the devices whose orientation is a port.
+        sensed: those of them that only sense it, and feel no torque.
     """
 
     session: str
@@ -199,6 +201,7 @@ class About:
     turning: Added[tuple[str, ...]] = ()
     oriented: Added[tuple[str, ...]] = ()
     hands: Added[tuple[str, ...]] = ()
+    sensed: Added[tuple[str, ...]] = ()
 
     @property
     def terms(self) -> Terms:
@@ -219,7 +222,7 @@ class About:
             drivers={name: node.driver for name, node in self.nodes.items() if node.driver is not None},
             couplings=self._couplings,
             units={name: self.units_at(name) for name in self.nodes} if self.turning else {},
-            hands=self.hands,
+            turned=tuple(hand for hand in self.hands if hand not in self.sensed),
         )
 
     def units_at(self, node: str) -> Units:
@@ -259,7 +262,9 @@ class About:
         links = links_at(node, known.role, {name: one.ports for name, one in self.nodes.items()}, self.linked)
         certified = self.certificate is not None
         hands = hands_at(node, known.role, self.hands)
-        topics = topics_of(known.role, masses, known.wall, bool(links), known.torques, certified, self.oriented, hands)
+        topics = topics_of(
+            known.role, masses, known.wall, bool(links), known.torques, certified, self.oriented, hands, self.sensed
+        )
         return {topic: topic.columns_of(known.ports, masses, links, self.oriented, hands) for topic in topics}
 
     def as_plain(self) -> dict[str, Any]:
@@ -302,6 +307,7 @@ class About:
         """
         named = [(f"links[{i}].ends", name) for i, link in enumerate(self.links) for name in link.ends]
         named += [("seats", name) for seat in self.seats.items() for name in seat]
+        named += [("hands", name) for name in self.hands]
         for place, name in (*named, *((f"nodes.{own}.process", node.process) for own, node in self.nodes.items())):
             if name is not None and name not in self.nodes:
                 raise ValueError(f"{place}: found {shown(name)}; expected a node")
@@ -312,7 +318,8 @@ class About:
                 raise ValueError("scene: found other ports or bodies; expected the environment's")
         for name, frame in () if self.drawing is None else self.drawing.frames.items():
             known = f"{name}.x" in self.masses and (not frame.oriented or name in self.oriented)
-            if not ({*frame.ports} <= self.reach.keys() and (known or not frame.reported)):
+            hand = frame.pivot is None or any({*frame.ports} == {*self.nodes[hand].ports} for hand in self.hands)
+            if not ({*frame.ports} <= self.reach.keys() and (known or not frame.reported) and hand):
                 raise ValueError(f"drawing.frames.{name}: found other ports or bodies; expected the environment's")
 
 
@@ -374,6 +381,14 @@ class LiveNode:
         if self.frozen:
             return Health.FROZEN
         return Health.LATE if self.late else Health.OK
+
+    @property
+    def pressed(self) -> tuple[str, ...]:
+        """Of a device, the buttons that are held down now, or were pressed since the telemetry before."""
+        down = self.figures.tables.get(names.BUTTONS_DOWN, {})
+        events = events_in(self.figures) if down else ()
+        since = {event.peer for event in events if event.kind is Kind.PRESSED and event.value}
+        return tuple(name.removeprefix(f"{self.name}.") for name, state in down.items() if state or name in since)
 
     def take(self, observation: Observation, now: Instant) -> None:
         """Take in its latest telemetry, which came at ``now``."""

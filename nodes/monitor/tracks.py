@@ -1,7 +1,9 @@
 """The last seconds of every trace of a session, decimated, in bounded memory: pure.
 
-Every trace of the table of topics is a track, except for the instants of ticks. So is each device's velocity: the
-difference of its displacement from sample to sample, taken before decimation.
+Every trace of the table of topics is a track, except for those that nobody draws: the instants of ticks, and what the
+world and a hand that turns tell each other for the audit. So is each device's velocity: the
+difference of its displacement from sample to sample, taken before decimation; and so is the angle between a device and
+its tool, where a hand turns that.
 
 A bucket is a run of ticks of fixed length, counted from tick 0, so that the buckets of all nodes of one period are
 aligned. Of each bucket two values are kept, its least and its greatest, in the order of time. A curve through them
@@ -17,8 +19,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from manyhands.nodes.kernel.orientation import angles
 from manyhands.nodes.monitor.session_state import About
-from manyhands.protocol.channels import DISPLACEMENT, INSTANT_NAMES, INSTANTS, Columns, Topic
+from manyhands.protocol.channels import DISPLACEMENT, INSTANT_NAMES, INSTANTS, ORIENTATION, PROXY, Columns, Topic
 from manyhands.protocol.messages import Observation, Role
 
 Floats = NDArray[np.float64]
@@ -119,6 +122,11 @@ VELOCITY: Final = Topic("velocity", "v", "v", "m/s", Columns.PORTS)
 """A topic that no node reports: the difference of a device's displacements, divided by the time between their samples.
 """
 
+ANGLE: Final = Topic("angle", "angle", "θ", "rad", Columns.ONE, hands=True)
+"""A topic that no node reports: the angle of the turn between a device's orientation and its proxy's."""
+
+_UNDRAWN: Final = (Columns.INSTANTS, Columns.PROPOSED, Columns.HEARD, Columns.TOLD)
+
 
 class Track:
     """The last buckets of one trace, in a ring.
@@ -198,7 +206,7 @@ class Tracks:
         rows = max((len(trace) for trace in observation.traces.values()), default=0)
         first = observation.tick - rows
         for key in self.columns:
-            if key.node != observation.node or key.topic is VELOCITY:
+            if key.node != observation.node or key.topic in (VELOCITY, ANGLE):
                 continue
             values = observation.traces.get(key.topic.trace)
             if values is None:
@@ -209,6 +217,10 @@ class Tracks:
             self._add(key, first, values)
             if key.topic.trace == DISPLACEMENT:
                 self._add(TrackKey(key.node, VELOCITY), first, self._velocity(key.node, first, values, observation))
+            if key.topic.trace == PROXY:
+                R = observation.traces.get(ORIENTATION)
+                if R is not None and R.shape == values.shape:
+                    self._add(TrackKey(key.node, ANGLE), first, angles(R, values)[:, None])
 
     def items(self) -> Iterator[tuple[TrackKey, Track]]:
         """Every track, in the order of the session's nodes and of the table."""
@@ -240,12 +252,16 @@ class Tracks:
 def _keys(about: About) -> Iterator[TrackKey]:
     for name, node in about.nodes.items():
         for topic in about.topics(name):
-            if topic.columns is Columns.INSTANTS:
+            if topic.columns in _UNDRAWN:
                 continue
             yield TrackKey(name, topic)
             if node.role is Role.DEVICE and topic.trace == DISPLACEMENT:
                 yield TrackKey(name, VELOCITY)
+            if node.role is Role.DEVICE and topic.trace == PROXY:
+                yield TrackKey(name, ANGLE)
 
 
 def _columns(key: TrackKey, about: About) -> tuple[str, ...]:
+    if key.topic is ANGLE:
+        return (ANGLE.symbol,)
     return about.nodes[key.node].ports if key.topic is VELOCITY else about.topics(key.node)[key.topic]

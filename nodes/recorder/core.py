@@ -166,7 +166,7 @@ class RecorderCore:
         self._tape.metadata(METADATA, recorded.as_metadata())
         for name, data in (attachments or {}).items():
             self._tape.attach(name, media_type(name) or "application/octet-stream", data, started)
-        self._scene = recorded.scene_messages()
+        self._shown = recorded.space_messages()
         self._topics = {node: {topic.trace: topic for topic in recorded.topics(node)} for node in recorded.roles}
         self._schemas: dict[str, int] = {}
         self._channels: dict[tuple[str, str], int] = {}
@@ -231,8 +231,8 @@ class RecorderCore:
             for topic in self._topics[node].values():
                 if topic.trace in observation.traces:
                     self._write_trace(node, topic, ticks, observation.traces[topic.trace])
-            if self._scene is not None and node == self._scene.node:
-                for made in self._scene.of(tick, observation.traces, start):
+            if node in self._shown:
+                for made in self._shown[node].of(tick, observation.traces, start):
                     channel = self._channel(node, made.topic)
                     self._tape.message(channel, made.time, made.tick % SEQUENCES, made.data)
             self._coverage[node].take(tick - rows, tick)

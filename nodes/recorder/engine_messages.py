@@ -3,13 +3,14 @@
 They are of the types of those of a scene (:mod:`manyhands.nodes.recorder.scene_messages`), at the same rates. The
 world is what its engine has said of its start (:class:`manyhands.nodes.environment.drawing.WorldDrawing`). A frame is
 moved by the axes of tools, which translate it or turn it about a line; or its position is reported, and perhaps its
-orientation.
+orientation. A tool that a hand turns is turned as the environment has told that hand last.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 
 from manyhands.design.models.contacts import Point, coordinates
 from manyhands.nodes.environment.drawing import Frame, Shape, Turn, WorldDrawing
-from manyhands.nodes.kernel.orientation import Quaternion, difference, product
+from manyhands.nodes.kernel.orientation import UPRIGHT, Quaternion, difference, product, unit
 from manyhands.nodes.recorder.scene_messages import (
     BODY_COLOUR,
     OBSTACLE_COLOUR,
@@ -28,7 +29,14 @@ from manyhands.nodes.recorder.scene_messages import (
     quaternion,
     vector,
 )
-from manyhands.protocol.channels import MASS_POSITION, ORIENTATION, QUATERNION_NAMES, TOOL_POSITION
+from manyhands.protocol.channels import (
+    MASS_POSITION,
+    ORIENTATION,
+    PROPOSED_NAMES,
+    QUATERNION_NAMES,
+    TOLD,
+    TOOL_POSITION,
+)
 from manyhands.protocol.messages import Values
 
 ENDLESS: Final = 0.5
@@ -46,9 +54,18 @@ def turned(turn: Turn, point: Sequence[float]) -> Point:
     return x, y, z
 
 
-def pose_of(frame: Frame, values: Sequence[float]) -> Pose:
-    """Where a frame is whose ports have these displacements, m or rad: each joint moves what is further out."""
+def pose_of(frame: Frame, values: Sequence[float], by: Quaternion = UPRIGHT) -> Pose:
+    """Where a frame is whose ports have these displacements, m or rad: each joint moves what is further out.
+
+    Args:
+        frame: of the drawing.
+        values: of its ports, in their order.
+        by: the rotation of its hand about its pivot, in the world's axes; nothing of a frame without one.
+    """
     at, turn = frame.at, frame.turn
+    if frame.pivot is not None:
+        at = _plus(frame.pivot, turned(by, [a - b for a, b in zip(at, frame.pivot, strict=True)]))
+        turn = product(by, Quaternion(*turn))
     for port, direction, value in reversed([*zip(frame.ports, frame.directions, values, strict=True)]):
         if (about := frame.axes.get(port)) is None:
             at = _plus(at, [value * part for part in direction])
@@ -77,6 +94,7 @@ class EngineMessages(SpaceMessages):
         masses: tuple[str, ...],
         oriented: tuple[str, ...],
         tick_ns: float,
+        hands: Mapping[str, tuple[str, ...]] = MappingProxyType({}),
     ) -> None:
         """Find the columns of what moves.
 
@@ -88,9 +106,11 @@ class EngineMessages(SpaceMessages):
             masses: the columns of its bodies' positions.
             oriented: the bodies whose orientations it reports.
             tick_ns: its period, ns.
+            hands: the ports of each device whose orientation is a port, in the session's order.
 
         Raises:
-            ValueError: a port or a body of the drawing has no column, or a shape is too large for finite numbers.
+            ValueError: a port or a body of the drawing has no column, a frame with a pivot has no hand, or a shape is
+                too large for finite numbers.
         """
         self._drawing = drawing
         parts = [f"{body}.{part}" for body in oriented for part in QUATERNION_NAMES]
@@ -105,6 +125,13 @@ class EngineMessages(SpaceMessages):
             for name, frame in drawing.frames.items()
             if frame.oriented
         }
+        of_hands = [{*own} for own in hands.values()]
+        self._told = {
+            name: len(PROPOSED_NAMES) * of_hands.index({*frame.ports})
+            for name, frame in drawing.frames.items()
+            if frame.pivot is not None
+        }
+        self._by = dict.fromkeys(self._told, UPRIGHT)  # as it was told last
         shapes: dict[str, list[Shape]] = {}
         for shape in drawing.shapes:
             shapes.setdefault(shape.frame, []).append(shape)
@@ -124,19 +151,22 @@ class EngineMessages(SpaceMessages):
 
     def poses(self, traces: Mapping[str, Values]) -> list[dict[str, Pose]] | None:
         """Where each frame is, tick by tick; None where the traces do not say it."""
-        x_e, q, R = (traces.get(name) for name in (TOOL_POSITION, MASS_POSITION, ORIENTATION))
+        x_e, q, R, told = (traces.get(name) for name in (TOOL_POSITION, MASS_POSITION, ORIENTATION, TOLD))
         heard = any(frame.reported for frame in self._drawing.frames.values())
-        if x_e is None or (heard and q is None) or (self._turned and R is None):
+        if x_e is None or (heard and q is None) or (self._turned and R is None) or (self._told and told is None):
             return None
-        return [
-            {name: self._pose(name, frame, row, x_e, q, R) for name, frame in self._drawing.frames.items()}
-            for row in range(len(x_e))
-        ]
+        out = []
+        for row in range(len(x_e)):
+            if told is not None:
+                for name, first in self._told.items():
+                    self._by[name] = unit(told[row, first : first + 4].tolist()) or self._by[name]
+            out.append({name: self._pose(name, frame, row, x_e, q, R) for name, frame in self._drawing.frames.items()})
+        return out
 
     def _pose(self, name: str, frame: Frame, row: int, x_e: Values, q: Values | None, R: Values | None) -> Pose:
         places = self._moved[name]
         if not frame.reported or q is None:
-            return pose_of(frame, x_e[row, places].tolist())
+            return pose_of(frame, x_e[row, places].tolist(), self._by.get(name, UPRIGHT))
         x, y, z = q[row, places].tolist()
         if not frame.oriented or R is None:
             return (x, y, z), frame.turn

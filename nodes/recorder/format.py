@@ -22,7 +22,8 @@ from manyhands.nodes.kernel.bundle import REALTIME
 from manyhands.nodes.kernel.json_number import json_figures
 from manyhands.nodes.monitor.session_state import GEOMETRY, PERIOD, About
 from manyhands.nodes.recorder.engine_messages import EngineMessages
-from manyhands.nodes.recorder.scene_messages import SCENE_SCHEMAS, SceneMessages, SpaceMessages
+from manyhands.nodes.recorder.hand_messages import HandMessages
+from manyhands.nodes.recorder.scene_messages import POSE, POSE_SCHEMA, SCENE_SCHEMAS, SceneMessages, SpaceMessages
 from manyhands.nodes.rows.figures import FIGURES as DECLARED
 from manyhands.nodes.rows.figures import WAVE_HOLDING
 from manyhands.nodes.rows.units import unit_of_all
@@ -64,6 +65,9 @@ SEQUENCES: Final = 2**32
 
 MAX_TIME_NS: Final = 2**63 - 1
 """The latest time of a message, ns since 1970."""
+
+CARTESIAN: Final = 3
+"""The number of axes of a device whose position is a point in space."""
 
 _NAME: Final = re.compile(r"\w[\w.-]{0,199}")
 """A name in a recording. It becomes a heading in a table, and a spreadsheet computes a cell that begins with
@@ -120,9 +124,10 @@ OTHER_SCHEMAS: Final[Mapping[str, tuple[str, str]]] = {
         },
     ),
     **SCENE_SCHEMAS,
+    POSE: POSE_SCHEMA,
 }
 """Names and texts of the schemas of the messages that belong to no topic of the table: figures, condition, and what
-shows a scene.
+shows a scene, or how a hand has turned its device.
 """
 
 
@@ -226,7 +231,7 @@ class ChannelAbout:
 _KEYS: Final[Mapping[str, str]] = {"version": "manyhands", "linked": "wave_links"}
 """The keys of a recording's metadata that are not named as the fields of :class:`Recorded`."""
 
-_MAY_BE_EMPTY: Final = ("periods", "linked", "scene", "turning", "oriented", "drawing", "hands")
+_MAY_BE_EMPTY: Final = ("periods", "linked", "scene", "turning", "oriented", "drawing", "hands", "sensed")
 """The fields of which metadata have nothing where they are empty."""
 
 
@@ -250,6 +255,7 @@ class Recorded:
         oriented: the bodies whose orientations the environment reports.
         drawing: what the world of an engine looks like; None for other worlds, and where no engine says it.
         hands: the devices whose orientation is a port, in the session's order.
+        sensed: those of them that only sense it, and feel no torque.
     """
 
     session: str
@@ -267,6 +273,7 @@ class Recorded:
     oriented: Added[tuple[str, ...]] = ()
     drawing: Added[WorldDrawing | None] = None
     hands: Added[tuple[str, ...]] = ()
+    sensed: Added[tuple[str, ...]] = ()
 
     @property
     def devices(self) -> dict[str, tuple[str, ...]]:
@@ -280,7 +287,8 @@ class Recorded:
         if role is None:
             return ()
         links, hands = bool(self.links_of(node)), hands_at(node, role, self.hands)
-        return topics_of(role, self.masses, wall, links, wall, oriented=self.oriented, hands=hands)
+        own = self.masses, wall, links, wall
+        return topics_of(role, *own, oriented=self.oriented, hands=hands, sensed=self.sensed)
 
     def columns(self, node: str, topic: Topic) -> tuple[str, ...]:
         """Names of the columns of a node's topic."""
@@ -313,10 +321,30 @@ class Recorded:
         (node,) = (name for name, role in self.roles.items() if role is Role.ENVIRONMENT)
         if self.drawing is not None:
             names = self.ports[node], self.masses, self.oriented
-            return EngineMessages(self.drawing, self.session, node, *names, self.tick_ns(node))
+            hands = {hand: self.ports[hand] for hand in self.hands}
+            return EngineMessages(self.drawing, self.session, node, *names, self.tick_ns(node), hands)
         if self.scene is None:
             return None
         return SceneMessages(self.scene, self.session, node, self.ports[node], self.masses, self.tick_ns(node))
+
+    def space_messages(self) -> dict[str, SpaceMessages | HandMessages]:
+        """What makes messages that are shown in space, by the node of whose traces they are made.
+
+        Raises:
+            ValueError: as :meth:`scene_messages`.
+        """
+        scene = self.scene_messages()
+        frames = [] if self.drawing is None else [one for one in self.drawing.frames.values() if one.pivot is not None]
+        own = {
+            hand: [frame for frame in frames if {*frame.ports} == {*self.ports[hand]}]
+            for hand in self.hands
+            if len(self.ports[hand]) == CARTESIAN
+        }
+        hands = {
+            hand: HandMessages(self.session, hand, self.ports[hand], self.tick_ns(hand), next(iter(found), None))
+            for hand, found in own.items()
+        }
+        return {**hands, **({} if scene is None else {scene.node: scene})}
 
     def behind_wave_link(self, node: str) -> bool:
         """Whether a wave link stands between a device or coupling and the environment."""
@@ -376,6 +404,7 @@ class Recorded:
             *out.turning,
             *out.oriented,
             *out.hands,
+            *out.sensed,
             *own,
         ):
             if not _NAME.fullmatch(name):
@@ -385,6 +414,8 @@ class Recorded:
         for text in (out.certificate, out.clock, out.version):
             if len(text) > _LONGEST_TEXT or not text.isprintable():
                 raise ValueError("found a long text, or one that is not printable, in the metadata; expected neither")
+        if not all(out.roles.get(name) is Role.DEVICE for name in out.hands):
+            raise ValueError("found a hand that is no device in the metadata; expected devices")
         try:
             out.scene_messages()
         except (ValueError, OverflowError) as error:
@@ -409,4 +440,5 @@ def recorded_of(about: About) -> Recorded:
         oriented=about.oriented,
         drawing=about.drawing,
         hands=about.hands,
+        sensed=about.sensed,
     )

@@ -31,6 +31,9 @@ SCENE: Final = "scene"
 TRANSFORMS: Final = "transforms"
 """The topic of the positions, at the environment: ``foxglove.FrameTransforms``."""
 
+POSE: Final = "pose"
+"""The topic of how a hand has turned its device, at the device: ``foxglove.PoseInFrame``."""
+
 UPDATES_PER_SECOND: Final = 20
 """The most positions of a thing in a second of the session's time."""
 
@@ -99,13 +102,21 @@ SCENE_SCHEMAS: Final[Mapping[str, tuple[str, str]]] = {
 }
 """Name and text of the JSON schema of each topic: Foxglove's names, keys and types, of what a scene has."""
 
+POSE_SCHEMA: Final = _schema("foxglove.PoseInFrame", timestamp=_TIME, frame_id=_TEXT, pose=_POSE)
+"""The same of the topic :data:`POSE`."""
+
+
+def every_of(tick_ns: float) -> int:
+    """Of so many ticks, of this period in ns, one has a position: :data:`UPDATES_PER_SECOND` at most."""
+    return max(1, math.ceil(round(1e9 / UPDATES_PER_SECOND / tick_ns, 9)))
+
 
 class SceneMessage(NamedTuple):
     """One message.
 
     Attributes:
-        topic: :data:`SCENE` or :data:`TRANSFORMS`.
-        tick: the environment's.
+        topic: :data:`SCENE`, :data:`TRANSFORMS` or :data:`POSE`.
+        tick: the node's.
         time: of the tick, ns since 1970.
         data: its JSON.
     """
@@ -125,7 +136,10 @@ class SpaceMessages(ABC):
 
     Attributes:
         node: the environment's name.
+        topics: those of its messages.
     """
+
+    topics: Final = (SCENE, TRANSFORMS)
 
     def __init__(self, session: str, node: str, tick_ns: float, shapes: Sequence[Mapping[str, Any]]) -> None:
         """Keep the shapes.
@@ -140,7 +154,7 @@ class SpaceMessages(ABC):
             ValueError: a shape is too large for finite numbers.
         """
         self.node, self._frame, self._tick_ns, self._shapes = node, session, tick_ns, shapes
-        self._every = max(1, math.ceil(round(1e9 / UPDATES_PER_SECOND / tick_ns, 9)))
+        self._every = every_of(tick_ns)
         self._update(0)  # fails where a shape has no finite size
 
     @abstractmethod
@@ -176,15 +190,15 @@ class SpaceMessages(ABC):
                 yield SceneMessage(TRANSFORMS, k, time, self._transforms(time, now))
 
     def _update(self, time: int) -> bytes:
-        entities = [{"timestamp": _stamp(time), **shape} for shape in self._shapes]
+        entities = [{"timestamp": stamp(time), **shape} for shape in self._shapes]
         return json.dumps({"deletions": [], "entities": entities}, allow_nan=False).encode()
 
     def _transforms(self, time: int, poses: Mapping[str, Pose]) -> bytes:
         """The frames of all things whose pose is finite."""
-        stamp = _stamp(time)
+        at_time = stamp(time)
         transforms = [
             {
-                "timestamp": stamp,
+                "timestamp": at_time,
                 "parent_frame_id": self._frame,
                 "child_frame_id": f"{self._frame}/{name}",
                 "translation": vector(at),
@@ -297,7 +311,8 @@ OBSTACLE_COLOUR: Final = {"r": 0.6, "g": 0.6, "b": 0.6, "a": 0.8}
 _ENCLOSING_COLOUR: Final = {"r": 0.6, "g": 0.6, "b": 0.6, "a": 0.2}  # of walls and rooms, behind which things are
 
 
-def _stamp(time: int) -> dict[str, int]:
+def stamp(time: int) -> dict[str, int]:
+    """A time, ns since 1970, as Foxglove has it."""
     seconds, nanoseconds = divmod(time, 10**9)
     return {"sec": seconds, "nsec": nanoseconds}
 
@@ -310,6 +325,11 @@ def quaternion(turn: Turn) -> dict[str, float]:
 def vector(values: Collection[float]) -> dict[str, float]:
     """A vector, likewise."""
     return dict(zip("xyz", map(float, values), strict=True))
+
+
+def pose_shown(at: Collection[float], turn: Turn) -> dict[str, Any]:
+    """A pose, likewise."""
+    return {"position": vector(at), "orientation": quaternion(turn)}
 
 
 def entity(name: str, frame: str, **primitives: Any) -> dict[str, Any]:

@@ -93,6 +93,7 @@ class Key(StrEnum):
     CAUSE = "cause"
     REASON = "reason"
     RIGHT = "right"
+    BUTTON = "button"
     OWN = "own name"
 
 
@@ -276,6 +277,8 @@ PEAK_FORCE: str = _figure(Figure(
 BUTTON_PRESSES: str = _figure(Figure(
     "button_presses", Unit.TIMES, "of a device with buttons: how often one was pressed", report=_at("button_presses"),
     columns=(Column("buttons", ".0f", 13),)))
+BUTTONS_DOWN: str = _figure(Figure(
+    "buttons_down", Unit.STATE, "whether a button of a device is held down now", Key.BUTTON))
 FINAL_SPEED: str = _figure(Figure(
     "final_speed", Unit.SPEED, "the greatest of the last rows of a run", report=_at("final_speed")))
 

@@ -102,16 +102,18 @@ class _End(Join):
             wave: what the bundle says of this end.
         """
         hello = hello_to(common, peer, wave_feedthrough(wave.b, wave.peer_period))
-        super().__init__(hello, peer, link, positions(common.ports, peer.ports), clock)
+        riders = common.riders(peer.riding)
+        super().__init__(hello, peer, link, positions(common.ports, peer.ports), clock, riders)
         self.waited_for = self._waits = common.clock == SIMULATED
         self._peer_period = from_seconds(wave.peer_period)
         self._period, self._born = from_seconds(common.period), 0  # when this life's first tick was, ns; 0 before it
         self._ratio = common.period / wave.peer_period
         self._sends, self._hears = turns(wave)
         self._following = 1  # the tick of the next wave that is sent
-        self._honest = wave_bounds(wave)
+        self._honest = wave_bounds(wave, len(riders))
+        self._sums = len(peer.ports)  # of a wave; what rides with it follows them
         self._gate = self._new_gate()
-        self._waves = WaveWriter(len(peer.ports))
+        self._waves = WaveWriter(peer.width)
         # ticks for which this end measures how late waves come, at first; 0 where its depth is given
         self._joining = 0 if self._waits or wave.depth is not None else math.ceil(JOINING / common.period)
         self._window = math.ceil(WINDOW / common.period)
@@ -184,7 +186,7 @@ class _End(Join):
         self._ticks, self._born, self.tick, self._following = 0, 0, -1, 1
 
     def _new_gate(self) -> WaveGate:
-        width, bounds, buttons = len(self.peer.ports), self._honest, self._admits_buttons()
+        width, bounds, buttons = self.peer.width, self._honest, self._admits_buttons()
         if self._waits:
             return WaveGate(width, bounds=bounds, buttons=buttons)
         return WaveGate(width, self._peer_period, self._clock, bounds, buttons)
@@ -214,8 +216,21 @@ class _End(Join):
             if self._take_frame(frame):
                 return True
         if self._path is not None and (wave := self._path.receive()) is not None:
-            self.face.hear(wave.tick, wave.sums, wave.shipped, buttons=wave.buttons)
+            self.face.hear(*self._parts(wave))
         return False
+
+    def _parts(self, wave: Wave) -> tuple[int, tuple[float, ...], float, int, int, tuple[float, ...]]:
+        """A wave as a face hears it; behind the sums is what rides with it."""
+        m, sums = self._sums, wave.sums
+        return wave.tick, sums[:m], wave.shipped, 0, wave.buttons, sums[m:]
+
+    def _put_with_riders(self, values: Floats, share: Floats) -> None:
+        """Put numbers of the ports into ``values``, with what rode with the newest wave; nothing of a silent end."""
+        face = self.face
+        if face.ridden and not face.holding:
+            self.put(values, [*share, *face.ridden])
+        else:
+            self.put_ports(values, share)
 
     def _await_wave(self, n: int, timeout: Duration) -> Received:
         """Wait for the wave ``n``, at most ``timeout``: SIGNAL, or RECONNECTED, or NOTHING."""
@@ -241,9 +256,9 @@ class _End(Join):
         if wave is not None:
             self._strays = 0
             if self._under_way is None:
-                self.face.hear(wave.tick, wave.sums, wave.shipped, buttons=wave.buttons)
+                self.face.hear(*self._parts(wave))
             else:
-                self._under_way.send((wave.tick, [*wave.sums], wave.shipped, 0, wave.buttons))
+                self._under_way.send(self._parts(wave))
         elif type_of(frame) != WAVE_ID:  # a wave that is refused is no stray: no more of them are read in a tick
             self._strays += 1
         return False
@@ -292,8 +307,8 @@ class _End(Join):
         message = self.face.message()
         self._gate.granted = message.G
         if self._path is not None:
-            return self._path.send(Wave(message.n, message.U, message.G, message.buttons))
-        return link.send(self._waves.frame(message.n, message.U, message.G, message.buttons))
+            return self._path.send(Wave(message.n, message.U + message.riders, message.G, message.buttons))
+        return link.send(self._waves.frame(message.n, message.U + message.riders, message.G, message.buttons))
 
     def _measure(self) -> bool:
         """Count a tick in which waves come, and choose the depth; returns whether it is settled."""
@@ -334,7 +349,9 @@ class UserEnd(_End):
         if not self._waits:
             self._take_waves()
             self._keep_time()
-        self._f = self._face.step(self.share(values))
+        share, m = self.share(values), self._sums
+        self._f = self._face.step(share[:m])
+        self._face.riders = tuple(share[m:])
         self._face.buttons = self.share_of_buttons(pressed)
         self._row = WaveRow(self._face.wave, self._face.tank.row())
         self._note_silence()
@@ -362,7 +379,7 @@ class UserEnd(_End):
             if received is not Received.SIGNAL:
                 return received
             self._hear_arrived(self._face.n)
-        self.put(values, self._f)
+        self._put_with_riders(values, self._f)
         self.tick = tick
         return Received.SIGNAL
 
@@ -376,8 +393,7 @@ class UserEnd(_End):
         try:
             if self._datagrams is None:
                 self._datagrams = DatagramSocket.unbound(self._clock)
-            width = len(self.peer.ports)
-            self._path = self._datagrams.take_up(key, link.host, link, width, self._peer_period)
+            self._path = self._datagrams.take_up(key, link.host, link, self.peer.width, self._peer_period)
         except TransportError:  # no datagrams from here: the waves stay with ZeroMQ
             return True
         self._path.gate = self._gate
@@ -436,7 +452,7 @@ class WorldEnd(_End):
         self._answered = False
         if not self._measure():
             return Received.NOTHING
-        self.put(values, p)
+        self._put_with_riders(values, p)
         self.tick = tick
         return Received.SIGNAL
 
@@ -459,7 +475,9 @@ class WorldEnd(_End):
 
     def send(self, kind: type[SignalMessage], tick: int, stamp: int, values: Floats, pressed: int = 0) -> bool:
         """Give the face f_e(k) behind the clutch, and send the user a wave."""
-        self._take_force(self.share(values))
+        share, m = self.share(values), self._sums
+        self._take_force(share[:m])
+        self._face.riders = tuple(share[m:])
         return self._send_wave()
 
     def settle(self, tick: int) -> None:
@@ -486,7 +504,7 @@ class WorldEnd(_End):
         if self._datagrams is None or self._path is not None or link is None or not self.here:
             return
         try:
-            path = self._datagrams.offer(link, len(self.peer.ports), self._peer_period)
+            path = self._datagrams.offer(link, self.peer.width, self._peer_period)
         except TransportError:  # too many ports for a datagram: the waves stay with ZeroMQ
             self._datagrams = None
             return
@@ -580,12 +598,16 @@ def world_face(common: Common, wave: WaveEnd) -> WorldFace:
     return WorldFace(wave.b, common.period, wave.peer_period, depth, E_0=E_0, theta=theta, bounds=bounds)
 
 
-def wave_bounds(wave: WaveEnd) -> WaveBounds | None:
-    """What the other end's face sends at most; None where the site has no bounds."""
+def wave_bounds(wave: WaveEnd, riders: int = 0) -> WaveBounds | None:
+    """What the other end's face sends at most; None where the site has no bounds.
+
+    The ``riders`` numbers behind the sums need only be finite: whoever uses them judges them.
+    """
     bounds, T = wave.bounds, wave.peer_period
     if bounds is None:
         return None
-    step, first = tuple(T * one for one in bounds.wave), bounds.first_sum(wave.b)
+    any_ = (math.inf,) * riders
+    step, first = tuple(T * one for one in bounds.wave) + any_, (*bounds.first_sum(wave.b), *any_)
     return WaveBounds(step, first, wave.tank, T * bounds.power, MOST_DELAY / from_seconds(T))
 
 

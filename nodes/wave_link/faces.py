@@ -66,6 +66,7 @@ _RESERVE: Final = 0.25  # part of E_0 that is no spare energy
 _GREATEST: Final = 1e12  # of G, and of the length of U
 _SQUARE: Final = _GREATEST * _GREATEST
 _NOTHING: Final[Floats] = []
+_NO_RIDERS: Final[tuple[float, ...]] = ()
 
 
 class Sums(NamedTuple):
@@ -77,6 +78,7 @@ class Sums(NamedTuple):
         G: energy shipped in this life, J.
         life: the number of the life.
         buttons: those at the user's end that are held down in that tick.
+        riders: what rides with the tick's motion or force (:mod:`manyhands.nodes.kernel.orientation`).
     """
 
     n: int
@@ -84,6 +86,7 @@ class Sums(NamedTuple):
     G: float
     life: int = 0
     buttons: int = 0
+    riders: tuple[float, ...] = ()
 
 
 class _Face(ABC):
@@ -98,6 +101,8 @@ class _Face(ABC):
         refused: messages that no honest face sends.
         buttons: those at this end that are held down, which the next message has.
         heard: those at the other end, by its newest message.
+        riders: what rides with this end's next message.
+        ridden: what rode with the other end's newest message; nothing before the first of a life.
     """
 
     def __init__(
@@ -171,6 +176,7 @@ class _Face(ABC):
     def _begin(self, life: int) -> None:
         self.life, self.n, self.silent = life, 0, 0
         self.buttons = self.heard = 0
+        self.riders = self.ridden = _NO_RIDERS
         self._U = self._backlog = self._zero
         self._played = self._played_before = self._zero  # P, the sum that was played, and that of the tick before
         self._along = 0.0  # way through the ramp, from 0 to 1
@@ -180,7 +186,9 @@ class _Face(ABC):
         self._told, self._told_at = _NOTHING, 0  # U of the last message within the bounds, and its n
         self._joined = 0  # the tick in which the face was aligned
 
-    def hear(self, n: int, U: Sequence[float], G: float, life: int = 0, buttons: int = 0) -> bool:
+    def hear(
+        self, n: int, U: Sequence[float], G: float, life: int = 0, buttons: int = 0, riders: tuple[float, ...] = ()
+    ) -> bool:
         """Take a message of the other face; returns whether it is the newest of this life.
 
         An older one, a duplicate and one of a different life change nothing. Neither does one that no honest face
@@ -194,7 +202,7 @@ class _Face(ABC):
             return False
         self.tank.receive(G)
         self._play.hear(n, sums)
-        self.silent, self.heard = 0, buttons
+        self.silent, self.heard, self.ridden = 0, buttons, riders
         return True
 
     def skip(self, ticks: int) -> None:
@@ -253,7 +261,7 @@ class _Face(ABC):
         nothing beyond it. What is left is told later.
         """
         U = self._U if self._bounds is None else self._within_reach(self._U)
-        return Sums(self.n, tuple(U), self.tank.shipped, self.life, self.buttons)
+        return Sums(self.n, tuple(U), self.tank.shipped, self.life, self.buttons, self.riders)
 
     def _within_reach(self, U: Floats) -> Floats:
         before, ticks = self._told, self.n - self._told_at

@@ -42,12 +42,13 @@ static const int64_t STEP_NS = 50000, FORGOTTEN_NS = 300000000;
 
 typedef struct {
     int32_t present, unplugged, uncalibrated, no_watchdog, com, stuck, rotated, transposed, lying, deaf;
-    int32_t pressed;
+    int32_t pressed, wrist, skewed; /* wrist: 0 none, 1 without motors, 2 with */
     int32_t owner, forces, braked, cause, gravity, guard_us, saturations, watchdogs, reads, sets, trip_us, stall_ms;
     int32_t watchdog, enc[3];
     int64_t now, read_at, set_at, manual; /* manual: of the first device, the time where a test makes it */
     double m, b, c, k, amplitude[3], frequency, most, fastest; /* hand's spring k, motors' N m, threshold m/s */
     double x[3], v[3], t[3], q[3], work, phase;
+    double turn[4], wt[3]; /* of the wrist: w, x, y, z, and the torques of its joints, N m */
     double f[3], noted[3]; /* the force that t stood for, and what the log has of it, N */
     double scale, unit; /* of places and J, 1/m: as ordered, and since the last reading */
     char log[256];
@@ -249,7 +250,8 @@ static device *enter(int id) {
     device *d = file.all + id;
     if (d->m == 0.0) {
         *d = (device){.present = id == 0, .com = 1, .guard_us = 500, .trip_us = 20, .gravity = 1, .braked = 1,
-                      .m = 0.2, .b = 0.5, .most = 1.0, .fastest = 3.0, .now = now_ns(), .scale = 1.0, .unit = 1.0};
+                      .m = 0.2, .b = 0.5, .most = 1.0, .fastest = 3.0, .now = now_ns(), .scale = 1.0, .unit = 1.0,
+                      .turn = {1.0}};
         double p[3] = {0.0, 0.0, MIDDLE};
         angles(p, d->q);
     }
@@ -287,7 +289,7 @@ static int sent(const device *d) {
 /* --- for tests */
 
 static int obey(device *d, const char *line) {
-    double a, b, c;
+    double a, b, c, e;
     int n;
     if (sscanf(line, "plant %lf %lf %lf", &a, &b, &c) == 3) d->m = a, d->b = b, d->c = c; /* kg, N s/m, N */
     else if (sscanf(line, "hand %lf %lf", &a, &b) == 2) d->k = a, d->frequency = b; /* N/m, Hz */
@@ -308,6 +310,10 @@ static int obey(device *d, const char *line) {
     else if (sscanf(line, "scale %lf", &a) == 1) d->scale = a;           /* from the next reading on places and J have another unit */
     else if (sscanf(line, "lying %d", &n) == 1) d->lying = n;            /* torques of the wrong sign */
     else if (sscanf(line, "pressed %d", &n) == 1) d->pressed = n;        /* its buttons, bit by bit */
+    else if (sscanf(line, "wrist %d", &n) == 1) d->wrist = n;
+    else if (sscanf(line, "skewed %d", &n) == 1) d->skewed = n;          /* its frame is no rotation */
+    else if (sscanf(line, "turned %lf %lf %lf %lf", &a, &b, &c, &e) == 4) d->turn[0] = a, d->turn[1] = b, d->turn[2] = c, d->turn[3] = e;
+    else if (sscanf(line, "twisted %lf", &a) == 1) d->wt[0] = d->wt[1] = d->wt[2] = a; /* N m, left by another program */
     else if (sscanf(line, "deaf %d", &n) == 1) d->deaf = n, d->watchdog = n ? 0 : d->watchdog;
     else if (sscanf(line, "most %lf", &a) == 1) d->most = a;             /* N m, of each motor */
     else if (sscanf(line, "fastest %lf", &a) == 1) d->fastest = a;       /* m/s, its velocity threshold */
@@ -348,6 +354,14 @@ int fake_dhd_ask(int id, double out[16]) {
     const double rest[] = {d->work, d->watchdogs, d->reads, d->sets, d->forces, d->braked, d->gravity, d->guard_us,
                            d->watchdog, d->com};
     memcpy(out + 6, rest, sizeof rest);
+    return leave(0);
+}
+
+/* the torques of its wrist's joints, N m */
+int fake_dhd_wrist(int id, double t[3]) {
+    device *d = enter(id);
+    if (!d) return -1;
+    memcpy(t, d->wt, sizeof d->wt);
     return leave(0);
 }
 
@@ -428,8 +442,48 @@ int dhdGetSerialNumber(unsigned short *sn, char id) {
     return leave(0);
 }
 
-const char *dhdGetSystemName(char id) { return id == 0 || id == 1 ? "omega.3" : NULL; }
-int dhdGetSystemType(char id) { return id == 0 || id == 1 ? 33 : fail(INVALID); }
+static int wrist_of(char id) {
+    device *d = enter(id);
+    if (!d) return -1;
+    return leave(d->wrist);
+}
+
+const char *dhdGetSystemName(char id) {
+    const char *names[] = {"omega.3", "omega.6", "sigma.7"};
+    const int wrist = wrist_of(id);
+    return wrist < 0 ? NULL : names[wrist];
+}
+
+int dhdGetSystemType(char id) {
+    const int types[] = {33, 34, 104}, wrist = wrist_of(id);
+    return wrist < 0 ? fail(INVALID) : types[wrist];
+}
+
+bool dhdHasWrist(char id) { return wrist_of(id) > 0; }
+bool dhdHasActiveWrist(char id) { return wrist_of(id) > 1; }
+
+int dhdGetOrientationFrame(double matrix[3][3], char id) {
+    device *d = exchange(id);
+    if (!d) return -1;
+    const double *q = d->turn, s = d->skewed ? 1.1 : 1.0;
+    for (int i = 0; i < 3; i++)
+        for (int j = 0; j < 3; j++) {
+            double cross = 0.0;
+            if (i != j) cross = ((j - i + 3) % 3 == 1 ? -1.0 : 1.0) * q[1 + (3 - i - j)]; /* the third axis */
+            matrix[i][j] = d->wrist ? 2.0 * (q[1 + i] * q[1 + j] + q[0] * cross) : 0.0;
+        }
+    for (int i = 0; i < 3; i++) matrix[i][i] += d->wrist ? 2.0 * q[0] * q[0] - 1.0 : 1.0, matrix[i][i] *= s;
+    return sent(d);
+}
+
+int dhdSetWristJointTorques(double t0, double t1, double t2, char id) {
+    if (!expert) return fail(EXPERT);
+    device *d = exchange(id);
+    if (!d) return -1;
+    if (d->wrist < 2) return leave(fail(NOT_AVAILABLE));
+    d->wt[0] = t0, d->wt[1] = t1, d->wt[2] = t2;
+    return sent(d);
+}
 int dhdEnableExpertMode(void) { return expert = 1, 0; }
 
 #define SETTER(name, type, needs_expert, ...)                    \

@@ -80,6 +80,12 @@ class FakeDevices:
         assert self._library.fake_dhd_force(device, out) == 0
         return tuple(out)
 
+    def wrist(self, device: int = 0) -> tuple[float, ...]:
+        """The torques (N·m) of its wrist's joints."""
+        out = (ctypes.c_double * 3)()
+        assert self._library.fake_dhd_wrist(device, out) == 0
+        return tuple(out)
+
     def time(self, to: int = 0) -> int:
         """The devices' time, ns; ``to`` makes it the test's."""
         return int(self._library.fake_dhd_time(to))

@@ -59,6 +59,7 @@ DEFAULTS: dict[str, Any] = {
     "filters": True,  # whether a client may configure gate and damping
     "sign": 1.0,  # of the forces
     "pressed": None,  # the buttons of a VerseGrip that are held down, as "ac"; None without one
+    "turned": None,  # its orientation, [w, x, y, z]; None without one, or where it tells none
 }
 LINK = 0.15  # m, both
 HOME = (0.0, -0.15, 0.15)
@@ -256,9 +257,13 @@ class Service:
     def inventory(self, session: int, config: bool) -> dict[str, Any]:
         """A frame."""
         frame = {"session_id": session, "inverse3": [device.entry(config) for device in self.devices.values()]}
-        if (pressed := self.given["pressed"]) is not None:
-            buttons = {name: name in pressed for name in "abc"}
-            frame["wireless_verse_grip"] = [{"device_id": "61562", "state": {"buttons": buttons, "hall": 0}}]
+        pressed, turned = self.given["pressed"], self.given["turned"]
+        if pressed is not None or turned is not None:
+            buttons = {name: name in (pressed or "") for name in "abc"}
+            state: dict[str, Any] = {"buttons": buttons, "hall": 0}
+            if turned is not None:
+                state["orientation"] = named("wxyz", turned)
+            frame["wireless_verse_grip"] = [{"device_id": "61562", "state": state}]
         return frame
 
     def hear(self, text: str, session: int) -> dict[str, Any]:
@@ -418,8 +423,8 @@ class Service:
 
     async def order(self, line: str) -> str:
         """Do what a test wants: "status KEY 0|1", "ebrake", "free", "gone", "mm", "m", "stall MS", "close", "lose",
-        "find", "rate", "ping", "unasked", "mute", "speak", "first 0|1", "die", "rise", "forever", "log PATH",
-        "note TEXT", "ask".
+        "find", "rate", "ping", "unasked", "pressed BUTTONS", "turned W X Y Z", "mute", "speak", "first 0|1", "die",
+        "rise", "forever", "log PATH", "note TEXT", "ask".
         """
         word, *rest = line.split()
         one = next(iter((*self.devices.values(), *self.lost.values())))
@@ -445,6 +450,8 @@ class Service:
                 self.devices[one.name] = self.lost.pop(one.name)
             case "pressed":  # the buttons of a VerseGrip, as "ac"
                 self.given["pressed"] = "".join(rest)
+            case "turned":  # its orientation, as "w x y z"; none without numbers
+                self.given["turned"] = [float(part) for part in rest] or None
             case "mute" | "speak":
                 self.mute = word == "mute"
             case "first":

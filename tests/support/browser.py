@@ -8,13 +8,14 @@ import os
 import re
 import signal
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 from urllib.parse import urlsplit
 
 import numpy as np
+import yaml
 from playwright.sync_api import Browser, ConsoleMessage, Page, Route, WebSocketRoute, sync_playwright
 
 from manyhands.launch.look.page.feed import Cursor, Feed
@@ -177,13 +178,13 @@ class Camera(NamedTuple):
 
     def moved(self, place: Any, right: float, down: float) -> np.ndarray[Any, np.dtype[np.float64]]:
         """The motion, m, parallel to the picture, that moves what is at ``place`` by so many px."""
-        back, to_the_right, up = self._axes
+        back, to_the_right, up = self.axes
         depth = float((self.target + self.distance * back - place) @ back)
         length = 2.0 * depth * math.tan(_FIELD / 2.0) / self.height  # of a px
         return length * (right * to_the_right - down * up)
 
     @property
-    def _axes(self) -> tuple[np.ndarray[Any, np.dtype[np.float64]], ...]:
+    def axes(self) -> tuple[np.ndarray[Any, np.dtype[np.float64]], ...]:
         """From what it looks at to the eye, to the right, and upwards."""
         sa, ca, se, ce = (
             math.sin(self.azimuth),
@@ -195,7 +196,7 @@ class Camera(NamedTuple):
 
     def seen(self, place: Any) -> tuple[float, float]:
         """How many px to the right of the picture's middle, and below it, a place is seen."""
-        back, right, up = self._axes
+        back, right, up = self.axes
         eye = self.target + self.distance * back
         pixels = self.height / (2.0 * float((eye - place) @ back) * math.tan(_FIELD / 2.0))
         return pixels * float((place - eye) @ right), -pixels * float((place - eye) @ up)
@@ -256,6 +257,61 @@ def _taken(page: Page, device: str) -> tuple[float, float]:
             return x, y
         page.mouse.up()
     raise AssertionError(f"{device} was never below the mouse")
+
+
+HAND: Final = '[data-device="hand"]'
+TURNED: Final = 0.1
+"""The angle between device and tool, rad, that :func:`turn` waits for."""
+
+_TURNS: Final = 10
+_LOOKS: Final = 40  # frames
+
+
+def written(session: Mapping[str, Any], folder: Path) -> Path:
+    """The file of a session that is written in Python."""
+    path = folder / f"{session['session']}.yaml"
+    path.write_text(yaml.safe_dump(dict(session), sort_keys=False))
+    return path
+
+
+def take_to_turn(page: Page) -> tuple[float, float]:
+    """Take the bar between rails by the mouse, to turn it about the vertical; returns where it was taken, px."""
+    page.locator(SPACE).focus()
+    camera_after(page, *("ArrowDown",) * 7)  # level, so that upwards in the picture is the vertical
+    x, y = centre(page, f"{HAND} .body")
+    page.keyboard.down("Shift")
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.keyboard.up("Shift")
+    until(page, HAND, "data-held", equals="here")
+    return x, y
+
+
+def turn(page: Page, x: float, y: float, looking: Page) -> None:
+    """Turn the bar that was taken there to and fro, until a page shows that the rails hold it back.
+
+    A machine that also draws the pages misses ticks, after which the device lets go of what it pressed against.
+    """
+    for _ in range(_TURNS):
+        for side in (-25, 25):  # px: by 29 degrees
+            page.mouse.move(x + side, y, steps=3)
+            for _ in range(_LOOKS):
+                frames(looking)
+                if float(looking.get_attribute('[data-force-of="hand"]', "data-angle") or 0.0) > TURNED:
+                    return
+    raise AssertionError("the rails never held the bar")
+
+
+def seen_from(page: Page, *keys: str) -> None:
+    """Move the camera by these keys while something else has the focus, which holds a device."""
+    page.evaluate(
+        """(keys) => {
+          const frame = document.querySelector(".space");
+          for (const key of keys) frame.dispatchEvent(new KeyboardEvent("keydown", { key }));
+        }""",
+        list(keys),
+    )
+    frames(page)
 
 
 NOWHERE: Final = "http://127.0.0.1:9/"

@@ -161,13 +161,15 @@ class Device:
         self.w, self.sent = sent - self.sent, sent
         self.beyond.append(0.0)
 
-    def answer(self, f: Floats, known: bool = True) -> None:
+    def answer(self, f: Floats, known: bool = True, part: float = 1.0) -> None:
+        """Take the couplings' answer, N; motors that are limp exert but a ``part`` of what they are given."""
         held, until = self.interface.force(f, f, Instant(self.now))
         self.course.ticks.append((self.w, np.array(f), self.f))
         self.f = np.array(f)
-        self.exerted, self.until = np.array(held), until
+        exerted = held if part == 1.0 else [part * force for force in held]
+        self.exerted, self.until = np.array(exerted), until
         known = known and not self.latency
-        self.interface.applied((self.x + self.noise).tolist() if known else None, Instant(self.now), held, until)
+        self.interface.applied((self.x + self.noise).tolist() if known else None, Instant(self.now), exerted, until)
 
     @property
     def energy(self) -> float:

@@ -1,13 +1,18 @@
-"""A session in which a hand turns a stick in a slot: freely about the stick's own axis, and not about z."""
+"""Sessions in which a hand turns a tool: a stick in a slot, freely about its own axis and not about z; and a bar."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from manyhands.launch.plan.engine import drawing_of
+from manyhands.launch.plan.prepare import unproved
 from manyhands.launch.recordings.run import RecordedRun
+from manyhands.launch.run.broadcast import describe
 from manyhands.launch.session import Session
+from manyhands.nodes.monitor.session_state import About
 
 DEVICE = ("x", "f_v", "R", "Q", "t_v", "proposed", "account")
 WORLD = ("x_e", "q", "R", "heard", "told")
@@ -35,6 +40,15 @@ ORIENTATION: dict[str, Any] = {
     "inertia": 2e-5,
     "torque": ["0.004*sin(2*pi*t)", 0, "0.03*sin(2*pi*2*t)"],
 }
+
+SENSED: dict[str, Any] = {
+    "sensed": True,
+    "stiffness": 0.3,
+    "inertia": 2e-5,
+    "damping": 0.001,
+    "torque": ORIENTATION["torque"],
+}
+"""The orientation of a grip without motors."""
 
 
 def slot(orientation: dict[str, Any] | None = None, **changes: Any) -> dict[str, Any]:
@@ -68,12 +82,117 @@ def slot(orientation: dict[str, Any] | None = None, **changes: Any) -> dict[str,
     }
 
 
+def sensed(**changes: Any) -> dict[str, Any]:
+    """The same with a stick that is held by a grip without motors, and that the slot cannot hold."""
+    data = slot(**changes)
+    data["devices"]["pen"]["orientation"] = {**SENSED}
+    return data
+
+
+PEN = "tests.support.turning_drivers:Pen"
+"""A driver of another package, a counterpart that turns in space."""
+
+
+def told(orientation: dict[str, Any] | None = None, driver: str = PEN, **parameters: Any) -> dict[str, Any]:
+    """The same with a stick of which a driver tells the orientation, which feels a torque unless it is said to."""
+    data = slot()
+    felt = {"osp": 0.001, "stiffness": 0.3, "limits": {"torque": 0.2, "speed": 30}}
+    data["devices"]["pen"] = {
+        "dof": 3,
+        "osp": 1.37,
+        "driver": driver,
+        "parameters": {"push": 0.5, "wrist": 0.004, **parameters},
+        "limits": {"force": 8, "displacement": 0.2, "speed": 2},
+        "mass": 0.2,
+        "orientation": felt if orientation is None else orientation,
+    }
+    return data
+
+
 def session(**changes: Any) -> Session:
     """The session, with these keys of its own."""
     return Session.from_dict(slot(**changes))
+
+
+def slot_by(link: dict[str, Any] | None, **changes: Any) -> Session:
+    """The session with this wave link at its coupling, and other keys of its own."""
+    own = {} if link is None else {"wave_link": link}
+    return session(couplings={"c": {"devices": ["pen"], **own}}, **changes)
 
 
 def values(run: RecordedRun, node: str, trace: str) -> np.ndarray:
     """A trace of a node."""
     (found,) = (one.values for (of, _), one in run.traces.items() if of == node and one.topic.trace == trace)
     return np.array(found)
+
+
+def as_told(R: tuple[float, ...], Q: tuple[float, ...], torque: tuple[float, ...]) -> dict[str, list[float]]:
+    """Columns of traces that a page is told, where the device and its tool are turned so, and the torque is this."""
+    return {"R": [*R], "Q": [*Q], "t_v": [*torque], "proposed": [*Q, 0.0], "account": [0.0] * 6,
+            "heard": [*R, 0.0, 1.0], "told": [*Q, 0.0]}  # fmt: skip
+
+
+def described(pivot: str = "0 0 0") -> About:
+    """The session as a page is told of it, without a body: its stick is turned about ``pivot``, m."""
+    given = slot(design={"coupling": "given", "stiffness": 900, "damping": 0.2})
+    ball = 'name="turn" type="ball"'
+    assert MODEL.count(ball) == 1
+    model = MODEL.replace(ball, f'{ball} pos="{pivot}"')
+    world = {key: value for key, value in given["environment"].items() if key not in ("bodies", "orientations")}
+    made = Session.from_dict({**given, "environment": {**world, "model": model}})
+    return replace(describe(unproved(made), "simulated", "ipc", 0), drawing=drawing_of(made))
+
+
+BAR = """<mujoco>
+  <option timestep="0.0005" integrator="implicitfast" gravity="0 0 0"/>
+  <worldbody>
+    <geom type="box" pos="0 0.018 0" size="0.045 0.003 0.02"/>
+    <geom type="box" pos="0 -0.018 0" size="0.045 0.003 0.02"/>
+    <body name="bar">
+      <joint name="x" type="slide" axis="1 0 0" damping="0.5"/>
+      <joint name="y" type="slide" axis="0 1 0" damping="0.5"/>
+      <joint name="z" type="slide" axis="0 0 1" damping="0.5"/>
+      <joint name="turn" type="ball" damping="0.001"/>
+      <geom type="box" size="0.03 0.01 0.01" mass="0.3"/>
+    </body>
+  </worldbody>
+</mujoco>"""
+
+
+def rail() -> dict[str, Any]:
+    """A bar between two rails, which a person at a page moves and turns: about z by some ten degrees alone.
+
+    Its numbers are those of a period of 10 ms, which a machine keeps whose processor draws the page. In its own time no
+    late tick makes the device let go.
+    """
+    pen = {
+        "dof": 3,
+        "osp": 1.37,
+        "driver": "browser",
+        "time": "own",
+        "mass": 0.2,
+        "hand": {"stiffness": 100, "damping": 5},
+        "limits": {"displacement": 0.05},
+        "orientation": {
+            "osp": 0.001,
+            "stiffness": 0.04,
+            "limits": {"torque": 0.05, "speed": 6},
+            "inertia": 1e-4,
+        },
+    }
+    environment = {
+        "type": "engine",
+        "engine": "mujoco",
+        "stiffness": 50,
+        "tools": {"hand": ["x", "y", "z"]},
+        "avatars": {"hand": "turn"},
+        "model": BAR,
+    }
+    return {
+        "session": "rail",
+        "period": 0.01,
+        "devices": {"hand": pen},
+        "couplings": {"c": {"devices": ["hand"]}},
+        "environment": environment,
+        "design": {"coupling": "spring-damper", "tau": 0.004},
+    }

@@ -162,11 +162,13 @@ class Stage:
         self.incidents: list[str] = []
         self.ordered: list[str] = []
         self._last: dict[str, float] = {}
+        self._times: list[float] = []  # by incident, the session's time at which it was heard, s
 
     def fault(self, name: str) -> bool:
         """Order one fault, and see it through; False where the session cannot go on after it."""
         of, number = self._row.faults[name], len(self.ordered)
-        self._until(lambda: self._now() >= self._last.get(name, -math.inf) + of.apart)
+        # within QUIET of an incident a second one of its kind is not said, whatever fault the first one was of
+        self._until(lambda: self._now() >= max(self._last.get(name, -math.inf), self._heard(of.said)) + of.apart)
         self._felt(f"before {name} {number}")
         time.sleep(self._chance.uniform(0.1, 1.1))  # the hand moves on
         self._incidents()
@@ -209,7 +211,15 @@ class Stage:
 
     def _incidents(self) -> None:
         latest, known = self._run.progress.incidents, self.incidents[-200:]
-        self.incidents += [one for one in latest if one not in known and one[:1] != "!"]
+        new = [one for one in latest if one not in known and one[:1] != "!"]
+        self.incidents += new
+        self._times += [self._now()] * len(new)
+
+    def _heard(self, words: str) -> float:
+        """When an incident with these words was heard last, s of the session's time."""
+        self._incidents()
+        times = (at for at, one in zip(self._times, self.incidents, strict=True) if words in one)
+        return max(times, default=-math.inf)
 
     def _felt(self, when: str) -> bool:
         felt = self._until(

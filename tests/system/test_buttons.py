@@ -31,6 +31,10 @@ def test_presses_are_recorded_with_their_ticks_and_the_forces_follow_again(recor
     recorded = read_run(recording)
     assert held_down(recorded.figures[ENVIRONMENT], recorded.ticks) == HELD
     assert held_down(recorded.figures["anna"], recorded.ticks) == {"anna.grip": HELD["anna.grip"]}
+    told = [figures.tables["buttons_down"]["anna.grip"] for _, figures in recorded.figures["anna"]]
+    assert told == [1.0] * told.count(1.0) + [0.0] * told.count(0.0)
+    assert 1.0 in told
+    assert 0.0 in told
     assert "bit for bit" in run("replay", recording)
     assert json.loads(run("audit", recording, "--json"))["holds"]
     assert "button anna.grip: pressed 1 time" in run("info", recording)

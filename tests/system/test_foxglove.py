@@ -22,7 +22,7 @@ import pytest
 from mcap.reader import make_reader
 
 from manyhands.launch.bridges.foxglove import HEALTH
-from manyhands.nodes.recorder.scene_messages import SCENE_SCHEMAS
+from manyhands.nodes.recorder.scene_messages import POSE, SCENE_SCHEMAS
 from manyhands.protocol.channels import CONDITION, TELEMETRY, TOPICS
 
 from ..support.commands import manyhands_command, read_until, run, started
@@ -290,6 +290,6 @@ def test_the_pages_terminals_show_what_they_say(tmp_path: Path) -> None:
 
 def test_the_pages_channels_are_those_of_the_table_of_topics() -> None:
     names = {topic.name for topics in TOPICS.values() for topic in topics} | {TELEMETRY, CONDITION, HEALTH}
-    names |= SCENE_SCHEMAS.keys()
+    names |= {*SCENE_SCHEMAS, POSE}
     rows = re.findall(r"^\| ((?:`\w+`(?:, )?)+) \|", PAGE.partition("## Who may")[0], flags=re.MULTILINE)
     assert {name for row in rows for name in re.findall(r"`(\w+)`", row)} == names

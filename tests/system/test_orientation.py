@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,9 +18,10 @@ from manyhands.launch.plan.reach import reach
 from manyhands.launch.recordings.run import RecordedRun, read_run, rows_of
 from manyhands.launch.run.recorder import RecorderProcess
 from manyhands.launch.run.supervisor import Supervisor
+from manyhands.launch.session import Session
 from manyhands.launch.session.shipped import load_named
 from manyhands.protocol.channels import ACCOUNT, ORIENTATION, PROXY, TORQUE
-from tests.support.slot import session
+from tests.support.slot import sensed, slot, slot_by, told
 
 pytest.importorskip("mujoco")
 ABOUT = {(NAME, "pen"), (BOUND, "pen"), (BOUND, "environment")}
@@ -31,21 +34,72 @@ def recorded(prepared: Prepared, clock: str, ticks: int, path: Path) -> Recorded
     return read_run(path)
 
 
-def test_processes_simulation_replay_and_audit_agree_to_the_last_bit(tmp_path: Path) -> None:
-    path, prepared = tmp_path / "run.mcap", prepare(session())
+FAR: dict[str, Any] = {"b": 20, "network": {"delay": 0.02, "jitter": 0.004, "loss": 0.02}}
+
+
+@pytest.mark.parametrize("link", [None, FAR, {"b": 20, "period": 0.0005}])
+def test_processes_simulation_replay_and_audit_agree_to_the_last_bit(
+    link: dict[str, Any] | None, tmp_path: Path
+) -> None:
+    path, prepared = tmp_path / "run.mcap", prepare(slot_by(link))
     run = recorded(prepared, "simulated", 730, path)
-    again = replay(prepared, run)
-    assert (again.identical, again.ticks, again.missing, again.deviations) == (True, 730, {}, ())
+    assert np.nanmax(np.abs(rows_of(run, "pen", TORQUE))) > 1e-3
+    if link is None or "period" not in link:  # a replay is one process, which has one period
+        again = replay(prepared, run)
+        assert (again.identical, again.ticks, again.missing, again.deviations) == (True, 730, {}, ())
     done = audit(path, run, lambda text: None, lambda tick: None)
     assert done.holds
     assert {(check.name, check.party) for check in done.checks if check.verdict is CheckVerdict.HOLDS} >= ABOUT
     assert {row.promise: row.state for row in done.promises}["orientation account"] == "kept"
 
 
+def test_a_hand_that_feels_nothing_makes_no_promise_and_its_run_is_computed_again(tmp_path: Path) -> None:
+    path, prepared = tmp_path / "run.mcap", prepare(Session.from_dict(sensed()))
+    run = recorded(prepared, "simulated", 230, path)
+    again = replay(prepared, run)
+    assert (again.identical, again.ticks, again.missing, again.deviations) == (True, 230, {}, ())
+    done = audit(path, run, lambda text: None, lambda tick: None)
+    assert done.holds
+    about = {(check.name, check.party) for check in done.checks if check.verdict is CheckVerdict.HOLDS}
+    assert about >= {(NAME, "pen"), ("agreement", "pen")}
+    assert "orientation account" not in {row.promise for row in done.promises}
+
+
+@pytest.mark.parametrize("sense", [False, True])
+def test_one_that_a_driver_of_another_package_tells_is_replayed_and_audited_without_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sense: bool
+) -> None:
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[2]))  # where the driver is found
+    path, own = tmp_path / "run.mcap", {"sensed": True, "stiffness": 0.3} if sense else None
+    prepared = prepare(Session.from_dict(told(own)))
+    run = recorded(prepared, "simulated", 330, path)
+    assert np.ptp(rows_of(run, "pen", ORIENTATION), axis=0).max() > 0.01
+    again = replay(prepared, run)
+    assert (again.identical, again.ticks, again.missing, again.deviations) == (True, 330, {}, ())
+    assert again.given == ("pen",)
+    done = audit(path, run, lambda text: None, lambda tick: None)
+    assert done.holds
+    held = {(check.name, check.party) for check in done.checks if check.verdict is CheckVerdict.HOLDS}
+    assert held >= ({(NAME, "pen"), ("agreement", "pen")} if sense else ABOUT)
+    (word,) = (row for row in done.promises if row.promise == "driver's word")
+    assert "its orientation" in word.remark
+    assert ("its damping in turning" in word.remark) != sense
+    run.traces["pen", "orientation"].values[100, 1] += 1e-6
+    assert not audit(path, run, lambda text: None, lambda tick: None).holds
+
+
+LINKED = {"c": {"devices": ["pen"], "wave_link": {"b": 20}}}
+FELT: tuple[Callable[[], dict[str, Any]], ...] = (slot, told, lambda: slot(couplings=LINKED))
+
+
 @pytest.mark.alone
-def test_in_real_time_its_account_is_kept_however_late_it_is(tmp_path: Path) -> None:
+@pytest.mark.parametrize("of", FELT)
+def test_in_real_time_its_account_is_kept_however_late_it_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, of: Callable[[], dict[str, Any]]
+) -> None:
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[2]))  # where the driver is found
     path = tmp_path / "run.mcap"
-    prepared = prepare(session(design={"coupling": "spring-damper", "tau": 0.001}))
+    prepared = prepare(Session.from_dict({**of(), "design": {"coupling": "spring-damper", "tau": 0.001}}))
     run = recorded(prepared, "realtime", 2000, path)
     done = audit(path, run, lambda text: None, lambda tick: None)
     assert done.verdict is not AuditVerdict.BROKEN

@@ -9,7 +9,24 @@ from pathlib import Path
 
 import pytest
 
-from ..support.browser import CARRIED, RED, browsing, centre, lift, open_page, picture, until, viewed
+from ..support.browser import (
+    BOXES,
+    CARRIED,
+    HAND,
+    RED,
+    TURNED,
+    browsing,
+    centre,
+    lift,
+    open_page,
+    picture,
+    take_to_turn,
+    turn,
+    until,
+    viewed,
+    written,
+)
+from ..support.slot import rail
 
 CHROMIUM = shutil.which("chromium")
 REQUIRED = os.environ.get("MANYHANDS_REQUIRE_BROWSER") == "1"
@@ -120,6 +137,28 @@ def test_two_people_carry_a_ball_in_two_browsers() -> None:
             page.bring_to_front()
             page.mouse.up()
         until(pages[0], RED, "data-at", below=0.01, axis=1)  # m: it has fallen
+    assert wrong == []
+
+
+def test_a_person_turns_a_bar_between_rails_in_a_browser(tmp_path: Path) -> None:
+    """The rails hold it, so device and tool differ, and a torque acts; let go, the device turns back to its tool."""
+    assert CHROMIUM is not None, "MANYHANDS_REQUIRE_BROWSER is set, and there is no chromium"
+    PICTURES.mkdir(parents=True, exist_ok=True)
+    wrong: list[str] = []
+    with viewed(session=(str(written(rail(), tmp_path)),)) as (address, _), browsing(CHROMIUM) as browser:
+        wide = open_page(browser, address, 1280, "light", wrong)
+        narrow = open_page(browser, address, 390, "dark", wrong)
+        wide.bring_to_front()
+        at = take_to_turn(wide)
+        until(narrow, HAND, "data-held", equals="elsewhere")
+        turn(wide, *at, looking=narrow)
+        for page, name in ((wide, "turned-1280-light"), (narrow, "turned-390-dark")):
+            assert page.evaluate(BOXES) == []
+            picture(page, PICTURES, name)
+        wide.bring_to_front()
+        wide.mouse.up()
+        until(narrow, HAND, "data-held", equals="")
+        until(wide, '[data-force-of="hand"]', "data-angle", below=TURNED / 2.0)
     assert wrong == []
 
 

@@ -6,7 +6,7 @@ import io
 import os
 import shutil
 from collections.abc import Iterator
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import pytest
@@ -15,9 +15,10 @@ from playwright.sync_api import Browser, Page
 
 from manyhands.nodes.monitor.session_state import About
 from manyhands.protocol.clock import Instant
-from manyhands.protocol.messages import Condition, Role
+from manyhands.protocol.messages import Condition, Figures, Role
 
 from ..support.browser import BOXES, SPACE, ShownPage, browsing, frames, until
+from ..support.slot import as_told, described
 from .test_page_drawing import NOTICE, SESSIONS, Played, scene
 
 CHROMIUM = shutil.which("chromium")
@@ -236,3 +237,58 @@ def filled(page: Page) -> tuple[float, float]:
     used = np.abs(data - 255).sum(axis=2) > 200
     wide, high = (float((np.ptp(np.flatnonzero(used.any(axis=axis))) + 1) / used.shape[1 - axis]) for axis in (0, 1))
     return wide, high
+
+
+UP, R, Q = (1.0, 0.0, 0.0, 0.0), (0.6, 0.0, 0.8, 0.0), (0.8, 0.0, 0.0, 0.6)
+RISEN = (0.5**0.5, 0.0, -(0.5**0.5), 0.0)  # x is upwards, where the name is at first
+DOWN = Figures({}, {"buttons_down": {"pen.grip": 1.0}})
+
+
+@pytest.mark.parametrize(("width", "height"), SCREENS)
+def test_no_name_is_on_a_rod_or_an_arc(width: int, height: int, browser: Browser) -> None:
+    played = Played(described())
+    played.stand(0.0, {"device": DOWN}, as_told(UP, UP, (0.001, 0.02, 0.0)))
+    page = ShownPage(browser, played.feed, width, "light", height=height)
+    until(page.page, SPACE, "data-camera", has=" ")
+    shown = 0
+    # more than half a circle in the plane of the picture, as the first view has it, which ends beside the name
+    poses = [(UP, UP, (side * 0.0083, side * -0.0178, side * 0.0138)) for side in (1.0, -1.0)]
+    poses += [(one, other, (0.001, 0.02, -0.008)) for one in (R, RISEN, UP) for other in (Q, RISEN)]
+    for i, pose in enumerate(poses):
+        played.stand(0.004 * (i % 3 - 1), {"device": DOWN}, as_told(*pose))
+        page.show()
+        until(page.page, '[data-tool="pen"]', "data-at", has=f"{0.004 * (i % 3 - 1):g}")
+        frames(page.page)
+        assert page.page.evaluate(BOXES) == []
+        boxes = page.page.evaluate(NAMES)
+        shown += len(boxes)
+        painted = coloured(page.page)
+        for text, (left, top, right, bottom) in boxes:
+            assert not painted[round(top) + 2 : round(bottom) - 2, round(left) : round(right)].any(), text
+    assert shown >= 3 * len(poses)  # the tool, the scales, and axes that have room
+    assert page.wrong == []
+    page.page.close()
+
+
+SHOW = "(how) => { for (const one of document.querySelectorAll('.space svg, .buttons')) one.style.display = how }"
+NAMES = """() => {
+  const { left, top } = document.querySelector(".space canvas").getBoundingClientRect();
+  return [...document.querySelectorAll(".space text")].filter((text) => text.checkVisibility()).map((text) => {
+    const box = text.getBoundingClientRect();
+    return [text.textContent, [box.left - left, box.top - top, box.right - left, box.bottom - top]];
+  });
+}"""
+"""Names and scales of the drawing, with their boxes in it."""
+
+
+def coloured(page: Page) -> np.ndarray[Any, np.dtype[np.bool_]]:
+    """The pixels of the drawing that are of a colour: of tools, rods and arrows, and not of what stands still."""
+    hide = (
+        "(shown) => { for (const one of document.querySelectorAll('.space svg, .buttons')) one.style.display = shown }"
+    )
+    page.evaluate(hide, "none")
+    frames(page)
+    data = page.locator(f"{SPACE} canvas").screenshot()
+    page.evaluate(SHOW, "")
+    rgb = np.array(Image.open(io.BytesIO(data)).convert("RGB"), dtype=np.int64)
+    return np.asarray(np.ptp(rgb, axis=2) > 60)

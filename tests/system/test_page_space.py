@@ -7,6 +7,7 @@ import os
 import shutil
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -18,9 +19,11 @@ from manyhands.launch.plan.engine import drawing_of
 from manyhands.launch.plan.prepare import unproved
 from manyhands.launch.run.broadcast import describe
 from manyhands.launch.session.shipped import load_named
+from manyhands.protocol.messages import Figures
 
 from ..support.browser import SPACE, Camera, ShownPage, browsing, camera_after, centre, frames, until
 from ..support.scenes import random_scene
+from ..support.slot import as_told, described
 from .test_page_drawing import Played, scene
 
 CHROMIUM = shutil.which("chromium")
@@ -394,3 +397,199 @@ def hamilton(p: tuple[float, ...], q: tuple[float, ...]) -> tuple[float, ...]:
     """The product of two quaternions, by the vectors of their imaginary parts."""
     u, v = np.array(p[1:]), np.array(q[1:])
     return (p[0] * q[0] - float(u @ v), *(p[0] * v + q[0] * u + np.cross(u, v)).tolist())
+
+
+PIVOT = np.array([0.01, 0.0, 0.005])  # m, in the stick's own axes, along which it stands at the start
+R, Q = (0.6, 0.0, 0.8, 0.0), (0.8, 0.0, 0.0, 0.6)  # 106° about the model's y, and 74° about its z
+TORQUE = (0.003, -0.004, 0.0)
+DOWN = Figures({}, {"buttons_down": {"pen.grip": 1.0, "pen.menu": 0.0}})
+
+
+@pytest.fixture(scope="module")
+def pen(browser: Browser) -> Iterator[ShownPage]:
+    """A stick that a hand has turned, about a point beside its middle, while a button is held down."""
+    played = Played(described(" ".join(map(str, PIVOT))))
+    played.stand(0.0, {"device": DOWN}, {"x": AT[:3], "x_e": [0.01, 0.0, 0.0], **as_told(R, Q, TORQUE)})
+    yield from closing(ShownPage(browser, played.feed, 1280, "light"))
+
+
+def matrix(turn: tuple[float, ...]) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """The rotation of a unit quaternion, by what it does to each axis."""
+    back = (turn[0], *(-part for part in turn[1:]))
+    return np.array([hamilton(hamilton(turn, (0.0, *axis)), back)[1:] for axis in np.eye(3).tolist()]).T
+
+
+def test_a_tool_that_its_hand_turns_is_drawn_by_its_proxy_and_its_device_beside_it(pen: ShownPage) -> None:
+    page = pen.page
+    until(page, SPACE, "data-camera", has=" ")
+    until(page, '[data-tool="pen"]', "data-at", equals="0.01 0 0")
+    root = 0.5**0.5
+    upright = (root, -root, 0.0, 0.0)  # the model's z is upwards in the picture, whose y is
+    assert turn_of(page, '[data-tool="pen"]') == pytest.approx(hamilton(upright, Q))
+    assert turn_of(page, '[data-device="pen"]') == pytest.approx(hamilton(upright, R))
+
+    box = page.locator(f"{SPACE} canvas").bounding_box()
+    assert box is not None
+    for at, turn, where in ((AT[:3], R, '[data-device="pen"] .body'), ([0.01, 0.0, 0.0], Q, "#world .pressed")):
+        x, y, z = np.array(at) + PIVOT - matrix(turn) @ PIVOT
+        right, down = Camera.of(page).seen(np.array([x, z, -y]))
+        seen = (box["x"] + box["width"] / 2 + right, box["y"] + box["height"] / 2 + down)
+        assert centre(page, where) == pytest.approx(seen, abs=1.0)
+
+
+def test_the_angle_the_torque_and_a_pressed_button_are_beside_the_force(pen: ShownPage) -> None:
+    page = pen.page
+    item = page.locator('[data-force-of="pen"]')
+    angle = 2 * math.acos(abs(float(np.dot(R, Q))))
+    text = f"turned {angle:.2f} rad from its tool; t x 3.00 mN·m, y -4.00 mN·m, z 0 N·m; pressed: grip"
+    until(page, '[data-force-of="pen"]', "text", has=text)
+    assert float(item.get_attribute("data-angle") or "nan") == pytest.approx(angle, rel=1e-5)
+    assert page.get_attribute("#world .pressed", "data-pressed") == "grip"
+    assert page.locator("#world .pressed").is_visible()
+    assert page.locator(".space text", has_text="a quarter turn of an arc: 2.50 mN·m").is_visible()
+    tabs = page.locator("#plot-tabs button").all_inner_texts()
+    assert [tab for tab in tabs if tab.startswith(("Angle", "Torque"))] == ["Angle (rad)", "Torque (N·m)"]
+    page.locator("#tab-t").click()
+    assert page.locator("#plot-legend label span").all_inner_texts() == ["t pen x", "t pen y", "t pen z"]
+    page.locator("#view-switch").click()
+    until(page, "#world-drawing", "data-view", equals="plane")
+    assert page.locator("#world .pressed").is_visible()
+    page.locator("#view-switch").click()
+    until(page, "#world-drawing", "data-view", equals="space")
+
+
+def test_the_arc_of_a_torque_turns_right_handed_about_its_axis(pen: ShownPage) -> None:
+    at, radius = np.array([0.1, 0.2, 0.3]), 0.05
+    for axis in ([0.0, 2.0, 0.0], [0.0, -1.0, 0.0], [3.0, 0.0, 4.0], [-0.1, 0.2, 0.3]):
+        for angle in (0.5, 2.0, 3.7):
+            places = np.array(
+                pen.page.evaluate(
+                    """async ([at, axis, radius, angle]) => {
+                      const { Arc } = await import("/shapes.js");
+                      const arc = new Arc(radius, 0.001, { of: () => undefined });
+                      arc.put(at, axis, angle);
+                      return arc.along(13);
+                    }""",
+                    [at.tolist(), axis, radius, angle],
+                )
+            )
+            u = np.array(axis) / np.linalg.norm(axis)
+            arms = places - at
+            assert np.linalg.norm(arms, axis=1) == pytest.approx(radius)
+            assert arms @ u == pytest.approx(0.0, abs=1e-9)
+            steps = [math.atan2(float(u @ np.cross(a, b)), float(a @ b)) for a, b in pairwise(arms)]
+            assert steps == pytest.approx([angle / 12] * 12)
+
+
+@pytest.fixture(scope="module")
+def turnable(browser: Browser) -> Iterator[ShownPage]:
+    """A stick that this page may turn, and that is turned already."""
+    played = Played(replace(described(), grips=("pen",)))
+    played.stand(0.0, {}, {"x": AT[:3], "x_e": AT[:3], **as_told(R, Q, TORQUE)})
+    yield from closing(ShownPage(browser, played.feed, 1280, "light"))
+
+
+@pytest.fixture
+def pens(turnable: ShownPage) -> Page:
+    page = turnable.page
+    until(page, SPACE, "data-camera", has=" ")
+    page.locator(SPACE).focus()
+    camera_after(page, "Home", "ArrowRight", "ArrowUp")
+    turnable.demands.clear()
+    return page
+
+
+PEN = '[data-device="pen"]'
+RING = f"{PEN} .body"
+
+
+def by(page: Page, right: float, up: float, towards: float, angle: float) -> tuple[float, ...]:
+    """The stick's orientation, turned on by an angle about a direction of the picture, in the model's axes."""
+    back, to_the_right, upwards = Camera.of(page).axes
+    x, y, z = (right * to_the_right + up * upwards + towards * back).tolist()
+    half = angle / 2
+    return hamilton((math.cos(half), *(math.sin(half) * part for part in (x, -z, y))), R)
+
+
+def turned_to(page: ShownPage) -> tuple[float, ...]:
+    """Where the page asked the stick to be turned in the end; where it asked it to be is where it was."""
+    page.await_demand({"release": "pen"})
+    last = [demand for demand in page.demands if demand.get("grasp") == "pen"][-1]
+    assert last["position"] == pytest.approx(AT[:3])
+    return tuple(last["turn"])
+
+
+@pytest.mark.parametrize("button", ["left", "right"])
+def test_a_drag_with_shift_or_the_right_button_turns_a_device(button: Any, turnable: ShownPage, pens: Page) -> None:
+    """As a ball of 100 px about its ring: 60° for half of the radius, and half a turn for all of it, or farther."""
+    x, y = centre(pens, RING)
+    home = Camera.of(pens)
+    for dx, dy, expected in (
+        (50, 0, by(pens, 0, 1, 0, math.radians(60))),
+        (0, 50, by(pens, 1, 0, 0, math.radians(60))),
+        (-250, 0, by(pens, 0, 1, 0, math.radians(-180))),
+    ):
+        turnable.demands.clear()
+        if button == "left":
+            pens.keyboard.down("Shift")
+        pens.mouse.move(x, y)
+        pens.mouse.down(button=button)
+        pens.mouse.move(x + dx, y + dy, steps=3)
+        pens.mouse.up(button=button)
+        pens.keyboard.up("Shift")
+        assert abs(float(np.dot(turned_to(turnable), expected))) == pytest.approx(1.0, abs=1e-4)  # of whole px
+    assert Camera.of(pens)[:3] == home[:3]
+
+
+def test_a_drag_without_shift_moves_a_device_and_keeps_its_turn(turnable: ShownPage, pens: Page) -> None:
+    x, y = centre(pens, RING)
+    pens.mouse.move(x, y)
+    pens.mouse.down()
+    pens.mouse.move(x + 30, y, steps=2)
+    pens.mouse.up()
+    turnable.await_demand({"release": "pen"})
+    last = [demand for demand in turnable.demands if demand.get("grasp") == "pen"][-1]
+    assert np.linalg.norm(np.subtract(last["position"], AT[:3])) > 1e-3
+    assert last["turn"] == pytest.approx(R)
+
+
+def test_keys_turn_a_device_about_the_directions_of_the_picture(turnable: ShownPage, pens: Page) -> None:
+    for keys, expected in (
+        ("d", (0, 1, 0, 3)),
+        ("a", (0, 1, 0, -3)),
+        ("s", (1, 0, 0, 3)),
+        ("W", (1, 0, 0, -15)),
+        ("q", (0, 0, 1, 3)),
+        ("E", (0, 0, 1, -15)),
+        ("dd", (0, 1, 0, 6)),
+    ):
+        turnable.demands.clear()
+        pens.locator(PEN).focus()
+        for key in keys:
+            pens.keyboard.press(key if key.islower() else f"Shift+{key}")
+        pens.keyboard.press("Escape")
+        *direction, degrees = expected
+        assert turned_to(turnable) == pytest.approx(by(pens, *direction, math.radians(degrees)), abs=1e-6)
+    assert "turned by 1.85 rad" in (pens.get_attribute(PEN, "aria-valuetext") or "")
+
+
+def test_a_second_finger_beside_the_ring_turns_the_device_and_not_the_camera(turnable: ShownPage, pens: Page) -> None:
+    """About the line from the eye, by the angle that the finger goes around the ring."""
+    x, y = centre(pens, RING)
+    home = Camera.of(pens)
+    fingers = Fingers(pens)
+    fingers.put(0, x, y)
+    fingers.put(1, x + 150, y)
+    fingers.put(1, x, y - 40)  # a quarter of a turn to the left, upwards, and nearer
+    until(pens, PEN, "class", has="held")
+    frames(pens)
+    fingers.lift()
+    assert abs(float(np.dot(turned_to(turnable), by(pens, 0, 0, 1, math.pi / 2)))) == pytest.approx(1.0, abs=1e-4)
+    assert Camera.of(pens)[:3] == home[:3]
+    turnable.demands.clear()
+    fingers.put(1, x + 150, y)
+    fingers.put(1, x + 175, y)
+    fingers.lift()
+    frames(pens)
+    assert Camera.of(pens).azimuth - home.azimuth == pytest.approx(-0.2, abs=1e-5)  # nobody holds the device
+    assert turnable.demands == []

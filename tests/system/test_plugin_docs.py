@@ -46,6 +46,8 @@ def test_a_page_is_followed_from_its_template_to_a_recording(page: str, tmp_path
     assert len((tmp_path / template).read_text().splitlines()) < 40
     commands = re.findall(r"^\$ manyhands (.*)$", text, flags=re.MULTILINE)
     assert len(commands) >= 5
+    if page == "drivers":
+        pytest.importorskip("mujoco")  # of the pen
     for line in commands:
         command, _, comment = line.partition(" #")
         expected = int(comment.split()[1]) if comment else 0

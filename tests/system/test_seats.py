@@ -21,11 +21,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
-from manyhands.launch.recordings.run import read_run
+from manyhands.launch.recordings.run import read_run, rows_of
 from manyhands.launch.session.session import ENVIRONMENT
 from manyhands.launch.session.shipped import load_named
 from manyhands.nodes.wave_link.felt import round_trip, stiffness_and_mass
+from manyhands.protocol.channels import ACCOUNT, ORIENTATION, TORQUE
+from tests.support.slot import slot
 
 from ..support.capture import free_ports
 from ..support.commands import MANYHANDS, Command, manyhands_command
@@ -156,11 +159,13 @@ def command(
 
 
 @contextmanager
-def hosted(folder: Path, address: str, *options: str | Path, within: Sequence[str] = ()) -> Iterator[Host]:
-    """The shipped session with two seats, running; its files are in ``folder``."""
+def hosted(
+    folder: Path, address: str, *options: str | Path, within: Sequence[str] = (), session: str = "ball"
+) -> Iterator[Host]:
+    """A session with seats, the shipped one, running; its files are in ``folder``."""
     folder.mkdir(exist_ok=True)
     options = ("--report", "run.json", *options)
-    with command("host", "ball", "--listen", address, "-o", "ball", *options, cwd=folder, within=within) as one:
+    with command("host", session, "--listen", address, "-o", "ball", *options, cwd=folder, within=within) as one:
         host = Host(one)
         host.until(": running")
         yield host
@@ -327,6 +332,35 @@ def test_across_a_wan_a_link_that_is_lost_for_a_while_comes_back(tmp_path: Path)
     report = require_sound(home, certificates)
     assert report["wave_links"]["right_seat"]["silences"] > 0
     assert report["wave_links"]["right_seat"]["mass"] < 0.5
+    require_unaccused(home / "run.mcap")
+
+
+@pytest.mark.alone
+def test_a_guest_turns_a_tool_of_an_engine_whose_seat_was_empty(tmp_path: Path) -> None:
+    """What rides goes by datagrams with the waves; the world began with nobody at its tools."""
+    pytest.importorskip("mujoco")
+    home, far = tmp_path / "home", tmp_path / "far"
+    home.mkdir()
+    plain = slot(
+        couplings={"seat": {"devices": ["pen"], "wave_link": {"b": 20}}},
+        design={"coupling": "spring-damper", "tau": 0.001},
+    )
+    (home / "slot.yaml").write_text(yaml.safe_dump(plain))
+    address = f"127.0.0.1:{free_ports(3)[0]}"
+    with ExitStack() as stack:
+        host = stack.enter_context(hosted(home, address, "--record", "run.mcap", session="slot.yaml"))
+        pen = stack.enter_context(guest("seat", home, far))
+        host.until("pen has joined")
+        host.go_on(2100)
+        assert pen.end(signal.SIGINT) == 130
+        host.until("pen left")
+        assert host.end(signal.SIGINT) == 130
+    run = read_run(home / "run.mcap")
+    turned, torque, account = (rows_of(run, "pen", trace) for trace in (ORIENTATION, TORQUE, ACCOUNT))
+    assert np.nanmax(np.abs(torque)) > 0.01  # N·m: the slot holds it about z
+    assert np.nanmax(np.abs(turned[:, 1])) > 0.1
+    assert np.nanmin(account[:, 0] - account[:, 1] + account[:, 2]) >= PROMISE
+    assert report_of(home)["nodes"]["pen"]["orientation"]["margin"] >= PROMISE
     require_unaccused(home / "run.mcap")
 
 

@@ -50,6 +50,10 @@ Force = Annotated[float, typer.Option("--force", metavar="N", help="The greatest
 Travel = Annotated[
     float, typer.Option("--travel", metavar="M", help="A push ends once the device has moved so far, in m.")
 ]
+Torque = Annotated[
+    float,
+    typer.Option("--torque", metavar="N·m", help="The greatest torque on a device that exerts one in space, in N·m."),
+]
 Yes = Annotated[bool, typer.Option("--yes", help="Do not ask before a push of hardware.")]
 
 
@@ -61,6 +65,7 @@ def check_driver(
     period: Period = 0.001,
     force: Force = 0.5,
     travel: Travel = 0.01,
+    torque: Torque = 0.005,
     push: Annotated[
         bool,
         typer.Option(
@@ -74,22 +79,28 @@ def check_driver(
 ) -> None:
     """Try a driver: read the device, push it a little on each axis, fall silent, and name what is wrong.
 
+    A device that states a torque in space is turned a little about each axis as well, by up to 0.2 rad.
+
     This imports the driver and runs its code. Hardware is pushed only after a question. Let the device stand free:
     nobody holds it. Where the driver states moved_by_force=False, nothing is pushed. Exit code 0: nothing is broken. 1:
     something is.
     """
     with errors():
         require_in_range({"--force": (force, 1000.0), "--travel": (travel, 1.0), "--period": (period, 0.1)})
+        require_in_range({"--torque": (torque, 100.0)})
         name, plugin, stated = made(driver, dof, parameters, period)
         asked = push and stated.moved_by_force and stated.hardware and not yes
         if asked and not sys.stdin.isatty():
             plugin.close()
             refuse("found real hardware to push, and no terminal to ask at; expected --yes, or --no-push to read alone")
-        if asked and not _agreed(min(force, *stated.force), travel, stated.units):
+        turned = (
+            min(torque, stated.orientation.torque or 0.0) if stated.orientation and stated.orientation.felt else 0.0
+        )
+        if asked and not _agreed(min(force, *stated.force), travel, stated.units, turned):
             say(err, "no force is exerted")
             push = False
         bench = Bench(plugin, period, clock_for(stated, RealtimeClock()))
-        pushes = Push(force, travel) if push else None
+        pushes = Push(force, travel, torque) if push else None
         found = checked_apart(bench, lambda: list(try_driver(bench, stated, pushes)))
         if stated.uncovered and not as_json:
             say(out, outside("the device", stated.uncovered))
@@ -298,9 +309,10 @@ def _factory(name: str, group: str, parameters: str) -> FactoryName:
         raise FactoryError(f"{place}: found {problem.found}; expected {problem.expected}") from error
 
 
-def _agreed(force: float, travel: float, units: Units) -> bool:
-    """Whether the user at the terminal agrees to a push; no terminal is no."""
+def _agreed(force: float, travel: float, units: Units, torque: float = 0.0) -> bool:
+    """Whether the user at the terminal agrees to a push, and to a torque (N·m) in space; no terminal is no."""
     push = f"{force:g} {units('N')}, up to {1e3 * travel:g} {units('mm')} at a time"
+    push += f", and turns it with {torque:g} N·m" if torque else ""
     question = f"this pushes real hardware with {push}; nobody may hold it"
     if not sys.stdin.isatty():
         say(err, f"{question}: there is no terminal to ask at; give --yes or --no-push")
@@ -327,6 +339,8 @@ def _text(value: Any) -> str:
     """A key's value, as YAML in a line."""
     if isinstance(value, dict):
         return f"{{{', '.join(f'{key}: {_text(one)}' for key, one in value.items())}}}"
+    if isinstance(value, bool):
+        return "true" if value else "false"
     if isinstance(value, tuple):
         return f"[{', '.join(map(_text, value))}]"
     if isinstance(value, str):

@@ -126,6 +126,8 @@ class Feed:
             out[name] = {"state": node.state, "health": node.health, "tick": node.tick, "rate": _rounded(node.rate)}
             if node.role is Role.DEVICE and live.about.certificate is not None:
                 out[name]["covered"] = live.covered_tau(name)
+            if node.role is Role.DEVICE:
+                out[name]["pressed"] = node.pressed
             if node.received is not None and cursor.received.get(name) != node.received:
                 cursor.received[name] = node.received
                 out[name]["figures"] = json_figures(node.figures, _rounded)

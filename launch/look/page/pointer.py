@@ -16,6 +16,7 @@ from typing import Final, TypeAlias
 
 import numpy as np
 
+from manyhands.nodes.kernel.orientation import UPRIGHT, Quaternion, unit
 from manyhands.nodes.monitor.session_state import About
 from manyhands.protocol.clock import Instant, from_seconds
 from manyhands.protocol.messages import Grasp, Release
@@ -33,10 +34,18 @@ DEMANDS_AT_ONCE: Final = 200
 
 @dataclass(frozen=True)
 class Hold:
-    """A request to hold a device at ``position``: m, one entry for each axis, within the device's reach."""
+    """A request to hold a device.
+
+    Attributes:
+        device: its name.
+        position: m, one entry for each axis, within the device's reach.
+        turn: of a device whose orientation is a port, the unit quaternion of where it is to be turned; None for a
+            hand that does not turn it.
+    """
 
     device: str
     position: tuple[float, ...]
+    turn: Quaternion | None = None
 
 
 @dataclass(frozen=True)
@@ -59,14 +68,15 @@ Demand: TypeAlias = Hold | LetGo | Wrong
 def demand_of(text: str, about: About) -> Demand:
     """The request in a page's message, checked against this session."""
     match _parsed(text):
-        case {"grasp": str(device), "position": list(position), **rest} if not rest:
+        case {"grasp": str(device), "position": list(position), **rest} if rest.keys() <= {"turn"}:
             if device not in about.grips:
                 return _no_grip(device, about)
-            return hold_of(device, position, about)
+            return hold_of(device, position, about, rest.get("turn"))
         case {"release": str(device), **rest} if not rest:
             return LetGo(device) if device in about.grips else _no_grip(device, about)
         case _:
-            return Wrong('found no message of a page; expected {"grasp": NAME, "position": [m, ...]} or release')
+            expected = '{"grasp": NAME, "position": [m, ...]}, perhaps with {"turn": [w, x, y, z]}, or release'
+            return Wrong(f"found no message of a page; expected {expected}")
 
 
 def token_of(text: str) -> object:
@@ -91,14 +101,33 @@ def _no_grip(device: str, about: About) -> Wrong:
     return Wrong(f"found {device[:96]!r}; expected a device that can be held: {', '.join(about.grips) or 'none'}")
 
 
-def hold_of(device: str, position: Sequence[object], about: About) -> Hold | Wrong:
-    """The request to hold a device that can be held at a position, which ends at the device's reach."""
+def hold_of(device: str, position: Sequence[object], about: About, turn: object = None) -> Hold | Wrong:
+    """The request to hold a device that can be held at a position, which ends at the device's reach.
+
+    ``turn`` is where it is to be turned, a unit quaternion, or None; a device without an orientation is not turned.
+    """
     ports = about.nodes[device].ports
     numbers = [number for entry in position if (number := _number(entry)) is not None]
     if len(numbers) != len(position) or len(numbers) != len(ports):
         return Wrong(f"{device}: found {len(position)} entries; expected {len(ports)} numbers in m")
     limits = [about.reach.get(port, math.inf) for port in ports]
-    return Hold(device, tuple(max(-r, min(r, x)) for x, r in zip(numbers, limits, strict=True)))
+    within = tuple(max(-r, min(r, x)) for x, r in zip(numbers, limits, strict=True))
+    if turn is None:
+        return Hold(device, within)
+    if device not in about.hands:
+        return Wrong(f"{device}: found a turn; expected none, for its orientation is no port")
+    wanted = _turn(turn)
+    if wanted is None:
+        return Wrong(f"{device}: found a turn that is none; expected a unit quaternion, [w, x, y, z]")
+    return Hold(device, within, wanted)
+
+
+def _turn(entries: object) -> Quaternion | None:
+    """The orientation in a page's message; None where it is none."""
+    if not isinstance(entries, list) or len(entries) != len(UPRIGHT):
+        return None
+    parts = [number for entry in entries if (number := _number(entry)) is not None]
+    return unit(parts) if len(parts) == len(UPRIGHT) else None
 
 
 def _number(entry: object) -> float | None:
@@ -150,7 +179,7 @@ class Holding:
         holder, _ = self._held.get(demand.device, (page, now))
         if holder != page:
             return f"{demand.device} is held by another page"
-        if not self._outlets[demand.device].send(Grasp(np.array(demand.position))):
+        if not self._outlets[demand.device].send(Grasp(np.array([*demand.position, *(demand.turn or ())]))):
             self._held.pop(demand.device, None)
             return f"{demand.device} cannot be held now: its process is not there, or does not receive"
         self._held[demand.device] = page, now

@@ -20,8 +20,10 @@ from manyhands.design.levels.orientation import OrientationLevel, orientation_of
 from manyhands.design.proof.finding import Finding
 from manyhands.design.proof.prove import prove
 from manyhands.launch.app.budget import budget_object, orientation_limits, print_budget, session_budget
+from manyhands.launch.app.design_report import print_certificate
 from manyhands.launch.plan.prepare import prepare
-from tests.support.slot import session, slot
+from manyhands.launch.session import Session
+from tests.support.slot import sensed, session, slot
 
 
 @pytest.fixture(scope="module")
@@ -61,6 +63,45 @@ def test_its_limit_is_exact(claimed: dict[str, Any], k: float, holds: bool) -> N
     assert all(finding.holds for finding in findings) is holds
 
 
+@pytest.fixture(scope="module")
+def sensed_claim() -> dict[str, Any]:
+    certificate = prepare(Session.from_dict(sensed()), None).certificate
+    assert certificate is not None
+    return json.loads(json.dumps({**content(certificate), "id": certificate.id}))
+
+
+def test_one_that_is_sensed_needs_nothing(sensed_claim: dict[str, Any]) -> None:
+    assert sensed_claim["devices"]["pen"]["orientation"] == {"sensed": True, "stiffness": 0.3}
+    findings = prove(sensed_claim)
+    assert all(finding.holds for finding in findings)
+    (found,) = _about(findings)
+    assert found.condition == "the orientation of pen is sensed, without a torque: k > 0, and nothing is needed"
+    held = {"kappa": 1.0, "force": 1.0, "speed": 0.1}
+    assert all(finding.holds for finding in _about(prove(_changed(sensed_claim, lambda own: own.update(held=held)))))
+    stiff = _changed(sensed_claim, lambda own: own["orientation"].update(stiffness=1e6))
+    assert all(finding.holds for finding in _about(prove(stiff)))
+    none = _changed(sensed_claim, lambda own: own["orientation"].update(stiffness=0.0))
+    assert not any(finding.holds for finding in _about(prove(none)))
+
+
+def test_one_that_is_sensed_is_written_and_read_back_and_shown(tmp_path: Path) -> None:
+    certificate = mh.certify(Session.from_dict(sensed()))
+    save(certificate, tmp_path / "slot.json")
+    read, _ = load(tmp_path / "slot.json")
+    assert read.loop.devices[0].orientation == OrientationLevel(None, 0.3)
+    assert read.id == certificate.id
+    with pytest.raises(ValueError, match="sensed"):
+        orientation_of({"sensed": False, "stiffness": 1.0})
+    found = session_budget(Session.from_dict(sensed()))
+    assert orientation_limits(found.loop) == [("pen", None, 0.3)]
+    assert budget_object(found)["orientations"] == {"pen": {"sensed": True, "stiffness": 0.3}}
+    shown = StringIO()
+    print_budget(Console(file=shown, width=200), found)
+    assert "The orientation of pen: sensed, without a torque" in shown.getvalue()
+    print_certificate(Console(file=shown, width=200), certificate)
+    assert "no torque acts on the hand, and nothing is needed" in shown.getvalue()
+
+
 def test_held_torques_are_not_covered(claimed: dict[str, Any]) -> None:
     held = {"kappa": 1.0, "force": 1.0, "speed": 0.1}
     findings = prove(_changed(claimed, lambda device: device.update(held=held)))
@@ -69,7 +110,19 @@ def test_held_torques_are_not_covered(claimed: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize(
     "orientation",
-    [None, [], {}, {"osp": 0.001}, {"osp": 0.001, "stiffness": "0.3"}, {"osp": 0.001, "stiffness": 0.3, "more": 1}],
+    [
+        None,
+        [],
+        {},
+        {"osp": 0.001},
+        {"osp": 0.001, "stiffness": "0.3"},
+        {"osp": 0.001, "stiffness": 0.3, "more": 1},
+        {"osp": 0.001, "sensed": True, "stiffness": 0.3},
+        {"sensed": False, "stiffness": 0.3},
+        {"stiffness": 0.3},
+        {"sensed": 1, "stiffness": 0.3},
+        {"osp": 0.001, "sensed": False, "stiffness": 0.3},
+    ],
 )
 def test_what_is_no_orientation_is_refused(claimed: dict[str, Any], orientation: Any) -> None:
     with pytest.raises(ValueError, match="orientation"):

@@ -13,7 +13,7 @@ import pytest
 from manyhands.devices.force_dimension import ForceDimension, ForceDimensionError
 from manyhands.devices.force_dimension.__main__ import main
 from manyhands.devices.force_dimension.driver import CALM, LONGEST, _Watchdog
-from manyhands.devices.force_dimension.library import Kinematics
+from manyhands.devices.force_dimension.library import Kinematics, is_rotation
 from manyhands.launch.conformance.driver import Bench, Push, check_driver
 from manyhands.launch.conformance.judgement import Conformance, Judgement, broken
 from manyhands.nodes.device.plugin import PluginDriver
@@ -481,3 +481,78 @@ def test_its_buttons_are_those_of_the_library(devices: FakeDevices, driver: Forc
     assert driver.buttons() == 0b101
     devices.order("unplugged 1")
     assert driver.buttons() == 0
+
+
+# --- a wrist
+
+TURNS = [
+    (1.0, 0.0, 0.0, 0.0), (0.6, 0.0, 0.8, 0.0), (0.0, 0.6, 0.0, -0.8), (0.0, 0.0, 0.0, 1.0), (0.0, 1.0, 0.0, 0.0),
+    (0.5, -0.5, 0.5, 0.5), (0.1, 0.7, -0.1, 0.7), (-0.3, 0.1, 0.9, 0.3),
+]  # fmt: skip
+
+
+def test_a_device_without_a_wrist_states_no_orientation(driver: ForceDimension) -> None:
+    assert driver.specification().orientation is None
+
+
+@pytest.mark.parametrize(("wrist", "holds"), [(1, "world"), (2, "joints")])
+def test_the_orientation_of_a_wrist_is_sensed_whatever_motors_it_has(
+    devices: FakeDevices, clock: OwnTime, wrist: int, holds: str
+) -> None:
+    devices.order(f"wrist {wrist}")
+    with closing(made(devices, clock, turning=12)) as driver:
+        of = driver.specification().orientation
+        assert of is not None
+        assert (of.speed, of.torque, of.holds, of.felt) == (12.0, None, holds, False)
+        assert driver.specification().session_keys()["orientation"] == {"sensed": True}
+        (sentence,) = of.promises_too_much(0.1, 1.0)
+        assert ("as torques of joints, of which nothing is proved" in sentence) == (wrist == 2)
+        for turn in TURNS:
+            norm = math.hypot(*turn)
+            wanted = [part / norm for part in turn]
+            devices.order("turned " + " ".join(map(repr, wanted)))
+            found = driver.orientation()
+            sign = math.copysign(1.0, sum(a * b for a, b in zip(found, wanted, strict=True)))
+            assert [sign * part for part in found] == pytest.approx(wanted, abs=1e-12)
+
+
+def test_the_motors_of_a_wrist_exert_nothing(devices: FakeDevices, clock: OwnTime) -> None:
+    devices.order("wrist 2\ntwisted 0.2")  # another program has left it
+    with closing(made(devices, clock)) as driver:
+        assert devices.wrist() == (0.0, 0.0, 0.0)
+        for tick in range(5):
+            driver.sample(tick, Instant(tick * MS))
+            driver.apply([1.0, -1.0, 0.5], Instant(tick * MS), Instant((tick + 6) * MS))
+            assert devices.wrist() == (0.0, 0.0, 0.0)
+        assert any(devices.asked().t)
+
+
+def test_a_frame_that_is_no_rotation_is_named(devices: FakeDevices, clock: OwnTime) -> None:
+    devices.order("wrist 1\nskewed 1")
+    with closing(made(devices, clock)) as driver, pytest.raises(ForceDimensionError, match="expected a rotation"):
+        driver.orientation()
+
+
+@pytest.mark.parametrize(
+    "rows",
+    [
+        [1.0, 0, 0, 0, 1, 0, 0, 0, -1],  # a mirror
+        [1.0, 0, 0, 0, 1, 0, 0, 0, 1.01],
+        [1.0, 0.01, 0, 0, 1, 0, 0, 0, 1],
+        [math.nan, 0, 0, 0, 1, 0, 0, 0, 1],
+        [0.0] * 9,
+    ],
+)
+def test_what_is_no_rotation_is_none(rows: list[float]) -> None:
+    assert is_rotation([1.0, 0, 0, 0, 1, 0, 0, 0, 1])
+    assert not is_rotation(rows)
+
+
+@pytest.mark.parametrize("wrist", [1, 2])
+def test_one_with_a_wrist_passes_the_suite_with_its_orientation(
+    devices: FakeDevices, clock: OwnTime, wrist: int
+) -> None:
+    devices.order(f"wrist {wrist}\nturned 0.6 0.0 0.8 0.0")
+    found = checked(devices, clock)
+    assert broken(found) == [], found
+    assert "jumping orientation" in {one.check for one in found if one.verdict is Conformance.KEPT}

@@ -18,11 +18,19 @@ import pytest
 
 from manyhands.devices.haply import HaplyError, HaplyInverse3
 from manyhands.extras import MissingExtra
+from manyhands.launch.plan.bundles import RunPlan, cut
+from manyhands.launch.plan.prepare import prepare
+from manyhands.launch.session import Session
+from manyhands.nodes.device.drivers import driver_of
 from manyhands.nodes.device.specification import ROUND, TIMES
+from manyhands.nodes.device.tick import tick_of
+from manyhands.nodes.kernel.bundle import REALTIME, DeviceBundle
+from manyhands.nodes.kernel.factory import FactoryError
 from manyhands.nodes.kernel.realtime import may_raise
 from manyhands.protocol.clock import Instant
 
 from ...fakes.haply import FakeHaply, fake_haply
+from ...support.slot import told
 
 MS = 1_000_000
 PATIENCE = 20.0
@@ -515,3 +523,51 @@ def test_the_buttons_of_a_verse_grip_come_with_the_frames() -> None:
         until(lambda: loop.turn() and driver.buttons() == 0b101)
         one.order("pressed")
         until(lambda: loop.turn() and driver.buttons() == 0)
+
+
+def test_the_orientation_of_a_verse_grip_comes_with_the_frames() -> None:
+    """A frame without it, or with none that is one, leaves the one before, and is counted."""
+    with fake_haply(turned=[1.0, 0.0, 0.0, 0.0]) as one, opened(one, turning=20) as driver:
+        loop = Loop(driver)
+        loop.turn()
+        of = driver.specification().orientation
+        assert of is not None
+        assert (of.speed, of.felt) == (20.0, False)
+        assert [*driver.orientation()] == [1.0, 0.0, 0.0, 0.0]
+        one.order("turned 0.6 0.0 0.8 0.0")
+        until(lambda: loop.turn() and [*driver.orientation()] == [0.6, 0.0, 0.8, 0.0])
+        for lost in ("turned", "turned 0.6 0.0 0.9 0.0", "turned nan 0 0 0"):
+            before = driver.figures()["grip_missing"]
+            one.order(lost)
+            until(lambda before=before: loop.turn() and driver.figures()["grip_missing"] > before + 3.0)
+            assert [*driver.orientation()] == [0.6, 0.0, 0.8, 0.0]
+
+
+@pytest.mark.parametrize(("given", "parameters"), [({"pressed": ""}, {}), ({"turned": [1, 0, 0, 0]}, {"grip": "7"})])
+def test_without_its_verse_grip_it_states_no_orientation(given: dict[str, Any], parameters: dict[str, Any]) -> None:
+    with fake_haply(**given) as one, opened(one, **parameters) as driver:
+        assert driver.specification().orientation is None
+        assert driver.figures()["grip_missing"] == 0.0
+
+
+def test_a_session_senses_it_beside_torques_that_joints_hold() -> None:
+    """No torque acts on the grip, so nothing is to be proved of these together (decision 54)."""
+    pytest.importorskip("mujoco")
+    with fake_haply(turned=[0.6, 0.0, 0.8, 0.0]) as one:
+        data = told({"sensed": True, "stiffness": 0.3}, driver="haply-inverse3")
+        data["devices"]["pen"] |= {
+            "parameters": {"port": one.port, "events": one.events, "sample_age": 5e-4, "actuation_delay": 4e-4, **SLOW},
+            "sample_age": 5e-4, "actuation_delay": 4e-4, "held": "torque", "linkage": {"kappa": 0.01},
+            "limits": {"force": 4, "displacement": 0.15, "speed": 1},
+        }  # fmt: skip
+        del data["devices"]["pen"]["mass"]
+        bundle = cut(prepare(Session.from_dict(data), None), RunPlan(REALTIME, None, ""))["pen"]
+        assert isinstance(bundle, DeviceBundle)
+        with closing(driver_of(bundle)) as driver:
+            tick = tick_of(bundle, driver)
+            tick.sample(0, Instant(0))
+            assert tick.rides == [0.6, 0.0, 0.8, 0.0, 0.0, 1.0]
+            tick.release(Instant(MS))
+        one.order("turned")
+        with pytest.raises(FactoryError, match="which states no orientation"):
+            driver_of(bundle)

@@ -101,6 +101,23 @@ def test_the_first_frame_has_no_state_or_status_of_its_own(fake: Service) -> Non
     assert [path for path in invented if ".config." not in path] == ["inverse3.0.state.transform.position"]
 
 
+GRIP = {
+    "device_id": "tutorials/02-print-versegrip",
+    "state.orientation": "tutorials/02-print-versegrip: a quaternion (w, x, y, z)",
+    "state.buttons.a": "tutorials/06-combined",
+    "state.buttons.b": "tutorials/06-combined",
+    "state.buttons.c": "isaac-sim/IsaacLab, se3_haply.py",
+    "state.hall": "tutorials/02-print-versegrip",
+}
+
+
+def test_a_grip_has_the_names_of_the_maker() -> None:
+    frame = Service(DEFAULTS | {"pressed": "a", "turned": [1.0, 0.0, 0.0, 0.0]}).inventory(7, False)
+    (grip,) = frame[service.GRIPS[0]]
+    assert {family(path) for path in paths(grip)} == set(GRIP)
+    assert set(grip["state"]["orientation"]) == set(service.QUATERNION)
+
+
 def test_later_frames_have_no_config(fake: Service) -> None:
     answer = fake.hear(service.Speech("049D", (3, 5)).force((0.0, 0.0, 0.0)), 7)
     assert "config" not in answer["inverse3"][0]

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from manyhands.devices.haply import HaplyError
-from manyhands.devices.haply.service import buttons_in, decoded, devices, left_on, reading, unusable, version_of
+from manyhands.devices.haply.service import decoded, devices, grip_in, left_on, reading, unusable, version_of
 
 from ...fakes.haply_service import DEFAULTS, Service
 
@@ -130,4 +130,42 @@ def test_what_is_on_is_said_with_how_it_stands() -> None:
     ],
 )
 def test_buttons_are_held_down_where_a_frame_says_so_and_nowhere_else(frame: Any, held: int) -> None:
-    assert buttons_in(frame) == held
+    found = grip_in(frame)
+    assert (0 if found is None else found.buttons) == held
+
+
+HALF = {"w": 0.6, "x": 0.0, "y": 0.8, "z": 0.0}
+
+
+@pytest.mark.parametrize(
+    ("told", "found"),
+    [
+        (HALF, (0.6, 0.0, 0.8, 0.0)),
+        ({**HALF, "w": -0.6}, (-0.6, 0.0, 0.8, 0.0)),
+        ({**HALF, "w": 0.6004}, (0.6004, 0.0, 0.8, 0.0)),
+        ({**HALF, "w": 0.61}, None),
+        ({**HALF, "w": float("nan")}, None),
+        ({**HALF, "w": "upright"}, None),
+        ({"x": 0.0, "y": 0.0, "z": 1.0}, None),
+        ([1.0, 0.0, 0.0, 0.0], None),
+        (None, None),
+    ],
+)
+def test_an_orientation_is_a_unit_quaternion_or_none(told: Any, found: Any) -> None:
+    grip = grip_in({"verse_grip": [{"device_id": "7", "state": {"orientation": told}}]})
+    assert grip is not None
+    assert grip.orientation == found
+
+
+def test_of_several_grips_the_wanted_one_counts() -> None:
+    frame = {
+        "wireless_verse_grip": [{"device_id": "7", "state": {"buttons": {"a": True}}}],
+        "verse_grip": [{"device_id": 8, "state": {"orientation": HALF}}],
+    }
+    seven, eight, nine = (grip_in(frame, wanted) for wanted in ("7", "8", "9"))
+    assert seven == grip_in(frame)
+    assert seven is not None
+    assert eight is not None
+    assert (seven.buttons, seven.orientation) == (1, None)
+    assert (eight.buttons, eight.orientation) == (0, (0.6, 0.0, 0.8, 0.0))
+    assert nine is None

@@ -74,6 +74,14 @@ def test_a_check_adds_to_the_row_of_its_promise(
     assert ("certificate", "kept") in {(row.promise, row.state) for row in rows}
 
 
+def test_a_run_without_a_tick_has_kept_nothing(prepared: Prepared, tmp_path: Path) -> None:
+    path = written(tmp_path / "r.mcap", recorded_of(prepared), attachments_of(prepared), {})
+    run = read_run(path)
+    assert run.ticks == 0
+    rows = promises_of(prepared, run, [check("certificate", "session", HOLDS), check("bound", "dx", UNCHECKED)])
+    assert {row.promise for row in rows if row.state == "kept"} == {"certificate"}
+
+
 def test_a_party_without_any_row_owes_nothing(prepared: Prepared, tmp_path: Path) -> None:
     rows = {key: values for key, values in simulated(prepared, 50).items() if key[0] not in ("dx", "cx")}
     gone = {key: np.full_like(values, np.nan) for key, values in simulated(prepared, 50).items() if key not in rows}

@@ -219,6 +219,22 @@ class TestSentences:
         assert ("cx" in sentence) == named
         assert ("see its sensor, and the units of its driver" in sentence) != named
 
+    def test_why_a_device_let_go_again_so_soon_is_told_a_little_later(self) -> None:
+        """A driver whose unit changes a moment after its user was pushed: what was said of the push is not all."""
+        incidents = self.incidents()
+        incidents.receive("dy", self.told(100, let_go=1.0))
+        assert len(incidents.receive("environment", self.told(100, moved={"cx/cy": 1.0}))) == 1
+        incidents.receive("dy", self.told(1000, let_go=2.0))
+        incidents.receive("environment", self.told(1000, moved={"cx/cy": 1.0}))
+        incidents.receive("dy", self.told(2000, let_go=3.0, quicker=1.0))
+        assert incidents.receive("environment", self.told(2000, moved={"cx/cy": 1.0})) == []
+        later = 100 + round(QUIET / T)
+        assert incidents.receive("environment", self.told(later - 1, moved={"cx/cy": 5.0})) == []
+        (sentence,) = incidents.receive("environment", self.told(later, moved={"cx/cy": 5.0}))
+        assert "it moved further in a tick than its stated mass" in sentence
+        assert sentence.endswith("; that was at 2.0 s")
+        assert incidents.receive("environment", self.told(3 * later, moved={"cx/cy": 5.0})) == []
+
     def test_a_device_that_moved_itself_is_reported_so(self) -> None:
         incidents = self.incidents()
         incidents.receive("dy", self.told(100, let_go=1.0))

@@ -33,6 +33,7 @@ from manyhands.nodes.recorder.format import recorded_of
 from manyhands.protocol.clock import Instant
 
 from ...support.observed_session import ABOUT, UNCERTIFIED, conditioned, judged, moving, observed
+from ...support.slot import described
 
 ROOT = Path(__file__).parents[3]
 WALL = 1_700_000_000_000_000_000  # ns since 1970
@@ -97,6 +98,36 @@ def test_what_shows_a_scene_is_that_of_a_recording() -> None:
     for message in shown:
         assert kept[message.topic, message.time] == message.data
     assert {topic for topic, _ in kept} == {m.topic for m in made(*frames, about=IN_SPACE)}
+
+
+TURNED = described("0.01 0 0")
+
+
+def turning(end: int, node: str) -> bytes:
+    """A hundred ticks of a hand that turns its tool, or of its world."""
+    angles = np.arange(end - 100, end) / 1e3
+    R = np.stack([np.cos(angles / 2), 0.0 * angles, np.sin(angles / 2), 0.0 * angles], axis=1)
+    one, x = np.ones((100, 1)), 1e-4 * np.arange(end - 100, end)[:, None] * np.ones(3)
+    if node == "environment":
+        return observed(node, end, {"x_e": x, "heard": np.hstack([R, 0 * one, one]), "told": np.hstack([R, 0 * one])})
+    return observed(node, end, {"x": x, "f_v": x, "R": R, "Q": R, "t_v": x})
+
+
+def test_what_shows_a_hand_that_turns_is_that_of_a_recording() -> None:
+    frames = [turning(end, node) for end in (100, 200) for node in ("environment", "pen")]
+    kept = recorded(*frames, about=TURNED)
+    sent = [message for message in made(*frames, about=TURNED) if message.topic.endswith(("/pose", "/transforms"))]
+    assert [message.topic for message in sent].count("/slot/pen/pose") == 4
+    for message in sent:
+        assert kept[message.topic, message.time] == message.data
+    assert {topic for topic, _ in kept} == {message.topic for message in made(*frames, about=TURNED)}
+    last = {message.topic.rpartition("/")[2]: json.loads(message.data) for message in sent}
+    (tool,) = last["transforms"]["transforms"]  # here turned as the device is, and in its place
+    assert last["pose"]["pose"] == {"position": tool["translation"], "orientation": tool["rotation"]}
+    assert last["pose"]["frame_id"] == tool["parent_frame_id"] == "slot"
+    c, s = np.cos(0.15), np.sin(0.15)  # about the model's y, and about a point beside the stick's middle, turned by it
+    assert tool["translation"] == pytest.approx({"x": 0.025 - 0.01 * c, "y": 0.015, "z": 0.015 + 0.01 * s})
+    assert tool["rotation"] == pytest.approx({"w": np.cos(0.075), "x": 0.0, "y": np.sin(0.075), "z": 0.0})
 
 
 @pytest.mark.parametrize("topic", ["scene", "transforms", "tools"])

@@ -27,6 +27,7 @@ from manyhands.nodes.environment.drawing import Frame, WorldDrawing
 from manyhands.nodes.recorder.format import recorded_of
 
 from ...support.observed_session import ABOUT, UNCERTIFIED
+from ...support.slot import described
 
 RECORDED, THERE = recorded_of(ABOUT), live_topics(ABOUT)
 
@@ -61,6 +62,16 @@ def test_every_panel_of_foxglove_is_shown_and_has_its_settings() -> None:
     assert positions["foxglovePanelTitle"].endswith(", m")
     series = {path["value"]: path["label"] for path in positions["paths"]}
     assert series["/pair/right/sample.x[1]"] == "x of right.y at right"
+
+
+def test_a_hand_that_turns_has_a_page_of_plots_and_its_pose_in_the_scene() -> None:
+    about = described()
+    panels = json.loads(foxglove_layout(recorded_of(about), live_topics(about)))["configById"]
+    assert "turning" in [tab["title"] for tab in panels["Tab!pages"]["tabs"]]
+    assert panels["3D!scene"]["topics"]["/slot/pen/pose"] == {"visible": True}
+    series = {path["value"]: path["label"] for panel in panels.values() for path in panel.get("paths", [])}
+    assert series["/slot/pen/torque.t_v[2]"] == "t of z at pen"
+    assert series["/slot/pen/proxy.Q[0]"] == "Q of qw at pen"
 
 
 def test_a_scene_has_a_panel_of_its_own() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 import sys
 from collections import Counter
@@ -46,6 +47,7 @@ from manyhands.protocol.messages import Role
 
 from ...support.commands import manyhands_command
 from ...support.observed_session import ABOUT, observed
+from ...support.slot import described
 
 TYPES = ros_types()
 HASH = TYPES.hash_rihs01(POSE)
@@ -129,6 +131,49 @@ def test_messages_are_those_of_a_bag_but_for_velocities(tmp_path: Path) -> None:
     assert len(sent) == len(kept) == 8 * TICKS
     assert {(one.topic.name, one.data) for one in sent} == kept
     assert {topic.name: topic.type for topic in RosMessages(WIDE, 1, TYPES).topics} == types
+
+
+def turning(**others: Any) -> bytes:
+    """A hundred ticks of a hand that turns its tool."""
+    draw = np.random.default_rng(5)
+    R = draw.normal(size=(TICKS, 4))
+    R /= np.linalg.norm(R, axis=1)[:, None]
+    x, f, torque = (draw.normal(size=(TICKS, 3)) for _ in range(3))
+    return observed("pen", TICKS, {"x": x, "f_v": f, "R": R, "Q": R, "t_v": torque} | others)
+
+
+TURNED = described()
+BEGUN = observed("environment", TICKS, {"x_e": np.zeros((TICKS, 3))})
+
+
+def test_what_a_hand_turns_is_sent_as_a_bag_has_it(tmp_path: Path) -> None:
+    core = RecorderCore(recorded_of(TURNED))
+    for frame in (BEGUN, turning()):
+        core.take(frame, WALL)
+    (tmp_path / "run.mcap").write_bytes(core.cut() + core.end())
+    save_bag(read_run(tmp_path / "run.mcap"), tmp_path / "run.rosbag")
+    with Reader(tmp_path / "run.rosbag") as reader:
+        both = [one for one in reader.connections if not one.topic.endswith("/measured_cv")]
+        kept = {(one.topic, bytes(data)) for one, _, data in reader.messages(both)}
+    sent = made(BEGUN, turning(), about=TURNED)
+    assert len(sent) == 2 * TICKS
+    assert {(one.topic.name, one.data) for one in sent} == kept
+    last = {one.topic.name.rpartition("/")[2]: TYPES.deserialize_cdr(one.data, one.topic.type) for one in sent}
+    pose, wrench = last["measured_cp"].pose, last["measured_cf"].wrench
+    q = pose.orientation
+    assert (q.x, q.y, q.z, q.w) != (0.0, 0.0, 0.0, 1.0)
+    assert q.x**2 + q.y**2 + q.z**2 + q.w**2 == pytest.approx(1.0)
+    assert (wrench.torque.x, wrench.torque.y, wrench.torque.z) != (0.0, 0.0, 0.0)
+
+
+def test_turns_that_do_not_fit_the_ticks_are_counted_and_those_that_are_missing_not_sent() -> None:
+    for others, topic, unfit in (
+        ({"R": np.zeros((TICKS, 3))}, "measured_cf", 1),
+        ({"t_v": np.full((TICKS, 3), np.nan)}, "measured_cp", 0),
+    ):
+        messages = RosMessages(TURNED, 1, TYPES)
+        assert {one.topic.name for one in of(messages, BEGUN, turning(**others))} == {f"/slot/pen/{topic}"}
+        assert messages.unfit == unfit
 
 
 def test_every_nth_tick_is_sent_whatever_the_frames() -> None:
@@ -221,35 +266,45 @@ def test_an_attachment_has_33_bytes() -> None:
 # ---- what a sample asks of a device
 
 
-def pose(frame: str, *position: float, order: str = "<") -> bytes:
-    """A pose in CDR, by the rules of OMG: little endian or big endian."""
+UPRIGHT = (0.0, 0.0, 0.0, 1.0)
+
+
+def pose(frame: str, *position: float, order: str = "<", turn: tuple[float, ...] = UPRIGHT) -> bytes:
+    """A pose in CDR, by the rules of OMG: little endian or big endian; the real part of its ``turn`` is the last."""
     text = frame.encode() + b"\0"
     head = struct.pack(f"{order}iII", -1, 2, len(text)) + text
     head += bytes(-len(head) % 8)
-    return bytes((0, order == "<", 0, 0)) + head + struct.pack(f"{order}7d", *position, 0.0, 0.0, 0.0, 1.0)
+    return bytes((0, order == "<", 0, 0)) + head + struct.pack(f"{order}7d", *position, *turn)
 
 
 def sample(data: bytes | None, publisher: bytes = b"a" * 16, type_: str = f"{dds_type(POSE)}/{HASH}") -> ServoSample:
     return ServoSample(type_, attachment(1, 2, publisher), data)
 
 
-def asked(device: str, *samples: ServoSample) -> tuple[list[Hold], dict[str, int]]:
-    servo = Servo(WIDE, HASH, Counter())
+def asked(device: str, *samples: ServoSample, about: About = WIDE) -> tuple[list[Hold], dict[str, int]]:
+    servo = Servo(about, HASH, Counter())
     return list(servo.holds(device, samples).values()), dict(servo.refused)
 
 
-@given(st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=40), st.tuples(*[st.floats()] * 3))
-def test_a_pose_is_read_as_rosbags_writes_it(frame: str, position: tuple[float, float, float]) -> None:
+@given(
+    st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=40),
+    st.tuples(*[st.floats()] * 3),
+    st.tuples(*[st.floats()] * 4),
+)
+def test_a_pose_is_read_as_rosbags_writes_it(
+    frame: str, position: tuple[float, float, float], orientation: tuple[float, float, float, float]
+) -> None:
     types = TYPES.types
     header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](-1, 2), frame)
-    point, turn = types["geometry_msgs/msg/Point"](*position), types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+    point, turn = types["geometry_msgs/msg/Point"](*position), types["geometry_msgs/msg/Quaternion"](*orientation)
     written = bytes(TYPES.serialize_cdr(types[POSE](header, types["geometry_msgs/msg/Pose"](point, turn)), POSE))
-    assert written == pose(frame, *position)
-    for data in (written, pose(frame, *position, order=">")):
+    assert written == pose(frame, *position, turn=orientation)
+    for data in (written, pose(frame, *position, order=">", turn=orientation)):
         found = read_pose(data)
         assert found is not None
         assert found[0] == frame
         assert np.array_equal(found[1], position, equal_nan=True)
+        assert np.array_equal(np.roll(found[2], -1), orientation, equal_nan=True)
 
 
 WHOLE = pose("pen", 0.01, 0.02, 0.03)
@@ -290,6 +345,24 @@ def test_a_pose_is_what_a_pointers_position_is() -> None:
     assert asked("pen", sample(WHOLE)) == ([Hold("pen", (0.01, 0.02, 0.03))], {})
     assert asked("pen", sample(pose("", 7.0, -7.0, 0.03))) == ([Hold("pen", (0.1, -0.05, 0.03))], {})
     assert asked("left", sample(pose("left", -7.0, 5.0, 5.0))) == ([Hold("left", (-0.1,))], {})
+
+
+HELD = replace(TURNED, grips=("pen",))
+
+
+def test_a_pose_turns_a_device_with_an_orientation_alone() -> None:
+    for turn, about, wanted in (
+        ((0.0, 0.8, 0.0, 0.6), HELD, (0.6, 0.0, 0.8, 0.0)),
+        (UPRIGHT, HELD, (1.0, 0.0, 0.0, 0.0)),
+        ((0.0, 0.8, 0.0, 0.6), replace(HELD, hands=()), None),
+        ((0.0, 0.0, 0.0, 0.0), HELD, None),  # no orientation: it is moved, and not turned
+        ((0.0, 0.8, 0.0, 0.7), HELD, None),
+        ((0.0, math.nan, 0.0, 1.0), HELD, None),
+        ((0.0, math.inf, 0.0, 1e308), HELD, None),
+    ):
+        ((hold,), refused) = asked("pen", sample(pose("pen", 0.01, 0.02, 0.03, turn=turn)), about=about)
+        assert hold == Hold("pen", (0.01, 0.02, 0.03), wanted)  # type: ignore[arg-type]
+        assert refused == {}
 
 
 def test_samples_that_are_not_ours_are_counted() -> None:

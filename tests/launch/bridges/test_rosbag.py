@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
+from scipy.spatial.transform import Rotation
 
 from manyhands.extras import MissingExtra
 from manyhands.launch.bridges import rosbag
@@ -29,12 +30,13 @@ from manyhands.launch.bridges.rosbag import (
 from manyhands.launch.recordings.recording import RecordingError
 from manyhands.launch.recordings.run import RecordedRun, RecordedTrace, read_run
 from manyhands.nodes.recorder.core import RecorderCore
-from manyhands.nodes.recorder.format import Recorded
+from manyhands.nodes.recorder.format import Recorded, recorded_of
 from manyhands.protocol.channels import TOPICS
 from manyhands.protocol.codec import encode
 from manyhands.protocol.messages import Figures, Observation, Role
 
 from ...support.commands import manyhands_command
+from ...support.slot import described
 
 STARTED = 1_700_000_000_123_456_789  # ns since 1970
 TICKS = 30
@@ -251,6 +253,58 @@ def test_a_torque_is_one_in_a_wrench() -> None:
     found = typestore.deserialize_cdr(serialiser(typestore, part.exerted)(0, [1.5, -0.25]), WRENCH)
     assert _three(found.wrench.force) == (1.5, 0.0, 0.0)
     assert _three(found.wrench.torque) == (0.0, -0.25, 0.0)
+
+
+def test_a_device_that_its_hand_turns_has_pose_twist_and_wrench_with_its_turn(tmp_path: Path) -> None:
+    """Quaternions of either sign, the smallest turns, and a tick that is lost."""
+    run = turned_run(tmp_path)
+    save_bag(run, tmp_path / "run.rosbag")
+    found = {topic.removeprefix("/slot/pen/"): own for topic, own in read(tmp_path / "run.rosbag").items()}
+    assert {name: kind for name, (kind, _) in found.items()} == {
+        "measured_cp": POSE, "measured_cv": TWIST, "measured_cf": WRENCH}  # fmt: skip
+    kept = np.setdiff1d(np.arange(50), [20])
+    R, x, f, torque = (TURNED[name][kept] for name in ("R", "x", "f_v", "t_v"))
+    messages = {name: [message for _, message in own] for name, (_, own) in found.items()}
+    assert np.array_equal(np.roll(R, -1, axis=1), [_four(m.pose.orientation) for m in messages["measured_cp"]])
+    assert np.array_equal(x, [_three(m.pose.position) for m in messages["measured_cp"]])
+    assert np.array_equal(f, [_three(m.wrench.force) for m in messages["measured_cf"]])
+    assert np.array_equal(torque, [_three(m.wrench.torque) for m in messages["measured_cf"]])
+    turns = Rotation.from_quat(np.roll(TURNED["R"], -1, axis=1))
+    by = (turns * Rotation.concatenate([Rotation.identity(), turns[:-1]]).inv()).as_rotvec() / 1e-3
+    both = np.setdiff1d(kept, [21])
+    twists = np.array([_three(m.twist.angular) for m in messages["measured_cv"]])
+    assert twists == pytest.approx(by[both], rel=1e-7, abs=1e-12)
+    assert np.linalg.norm(by[both], axis=1).min() < 1e-5
+
+
+def test_a_pose_without_its_orientation_is_not_written(tmp_path: Path) -> None:
+    run = turned_run(tmp_path)
+    save_bag(run, tmp_path / "run.rosbag", ["pen/sample", "pen/force", "pen/torque"])
+    assert [*read(tmp_path / "run.rosbag")] == ["/slot/pen/measured_cf"]
+
+
+def _turned(random: np.random.Generator) -> dict[str, np.ndarray]:
+    steps = random.normal(size=(50, 3)) * 10.0 ** random.integers(-12, 0, size=(50, 1))
+    at, R = Rotation.identity(), []
+    for step in steps:
+        at = Rotation.from_rotvec(step) * at
+        R.append(np.roll(at.as_quat(), 1) * random.choice([-1.0, 1.0]))
+    x, f, torque = (random.normal(size=(50, 3)) for _ in range(3))
+    return {"R": np.array(R), "Q": np.array(R), "x": x, "f_v": f, "t_v": torque}
+
+
+TURNED = _turned(np.random.default_rng(3))
+
+
+def turned_run(folder: Path) -> RecordedRun:
+    """The recording of a hand that turns, of which tick 20 is lost."""
+    core = RecorderCore(recorded_of(described()))
+    for first, end in ((0, 20), (21, 50)):
+        traces = {name: values[first:end] for name, values in TURNED.items()}
+        core.take(encode(Observation("pen", end, Figures(), traces)), STARTED + end * 1_000_000)
+    path = folder / "run.mcap"
+    path.write_bytes(core.cut() + core.end())
+    return read_run(path)
 
 
 def test_axes_of_one_name_in_ros_are_refused() -> None:

@@ -257,7 +257,7 @@ class TestPictures:
         (angle,) = panels["angle"].curves
         assert angle.label == "pen"
         torque = np.linalg.norm([curve.values for curve in panels["torque"].curves], axis=0)
-        assert 0.3 * np.sin(angle.values) == pytest.approx(torque, abs=1e-7)  # of the arc cosine
+        assert 0.3 * np.sin(angle.values) == pytest.approx(torque, abs=1e-12)
 
     @pytest.mark.parametrize(
         ("wanted", "words"),

@@ -236,9 +236,20 @@ class Test_offers:
         assert c.states["cx"] is NodeState.LOST
         assert c.ignored == 2
 
+    def test_a_process_that_ends_without_a_word_is_quoted_by_its_log(self) -> None:
+        """Its last line need not be the reason, and is not called so."""
+        c = session().conductor
+        c.exited("dx", 1, 0, "OverflowError: cannot convert float infinity to integer")
+        c.exited("cx", 1, 0, "OverflowError: cannot convert float infinity to integer")
+        assert c.incidents.sentences == (
+            "at 0.0 s: dx ended with exit code 1 while running; the last line of its log: OverflowError: cannot "
+            "convert float infinity to integer",
+            "at 0.0 s: cx ended with exit code 1 while running",
+        )
+
     def test_a_process_that_cannot_start_says_what_its_device_lacks(self) -> None:
         c = session().conductor
-        c.exited("dx", 1, 0, "an old line of a process that ran is no reason")
+        c.exited("dx", 1, 0)
         c.receive("cx", Offer("dx", "ipc:///anew"), 0)
         c.exited("dx", 2, 0, "cannot open /dev/ttyACM0: there is no such port; plug the device in")
         assert c.incidents.sentences == (

@@ -9,7 +9,8 @@ import pytest
 
 from manyhands.launch.session import Session, SessionError
 from manyhands.launch.session.session import ENVIRONMENT
-from tests.support.slot import ORIENTATION, slot
+from manyhands.nodes.kernel.bundle import OrientationPart, SensedPart
+from tests.support.slot import ORIENTATION, sensed, slot
 
 
 def test_it_is_read_and_written_again() -> None:
@@ -19,9 +20,29 @@ def test_it_is_read_and_written_again() -> None:
     assert own is not None
     assert own.torque == ("0.004*sin(2*pi*t)", 0.0, "0.03*sin(2*pi*2*t)")
     part = own.part(0.3)
+    assert isinstance(part, OrientationPart)
     assert (part.source.damping, part.source.inertia) == (0.001, 2e-5)
     assert Session.from_dict(session.to_dict()) == session
     assert Session.from_dict(session.as_plain()) == session
+
+
+def test_one_that_is_sensed_is_read_and_written_again() -> None:
+    session = Session.from_dict(sensed())
+    assert (session.hands, session.sensed_hands) == (("pen",), ("pen",))
+    own = session.devices["pen"].orientation
+    assert own is not None
+    assert isinstance(own.part(0.3), SensedPart)
+    assert session.stiffest_orientations == {"pen": 0.3}
+    assert Session.from_dict(session.to_dict()) == session
+    assert Session.from_dict(session.as_plain()) == session
+    assert Session.from_dict(slot()).sensed_hands == ()
+
+
+def test_one_that_is_sensed_goes_with_torques_of_joints_and_with_a_ladder() -> None:
+    """No torque acts on its hand, so there is nothing that either could give out."""
+    data = sensed(design={"coupling": "spring-damper", "tau": 1e-4, "ladder": [2e-4]})
+    data["devices"]["pen"] |= {"held": "torque", "linkage": {"kappa": 10.0}}
+    assert Session.from_dict(data).sensed_hands == ("pen",)
 
 
 def test_without_a_stiffness_it_is_the_stiffest_that_is_proved() -> None:
@@ -46,11 +67,26 @@ def _environment(**keys: Any) -> dict[str, Any]:
     return data
 
 
+def _sensed(without: str = "", **keys: Any) -> dict[str, Any]:
+    data = sensed()
+    own = data["devices"]["pen"]["orientation"] | keys
+    data["devices"]["pen"]["orientation"] = {key: value for key, value in own.items() if key != without}
+    return data
+
+
+def test_a_person_at_a_browser_may_turn_it() -> None:
+    data = _with(driver="browser", hand={"stiffness": 100})
+    del data["devices"]["pen"]["orientation"]["torque"]
+    assert Session.from_dict(data).hands == ("pen",)
+
+
 LINKS = [{"between": [f"pen.{i}", "ground"], "stiffness": 100} for i in range(3)]
 
 REFUSED = {
     "two axes": (_with(dof=2, hand={}), "3 axes that translate"),
-    "a driver": (_with(driver="a.b:c", mass=None, hand=None), "no other driver turns in space yet"),
+    "a driver": (_with(driver="a.b:c", mass=None, hand=None), "no inertia: the driver's device and its user"),
+    "a SpaceMouse": (_with(driver="spacemouse", hand={"stiffness": 100}), "driver: simulated, browser, or a driver"),
+    "a person and a torque": (_with(driver="browser", hand={"stiffness": 100}), "no torque: the intention comes from"),
     "torques of joints": (_with(held="torque", linkage={"kappa": 10.0}), "is proved nowhere yet"),
     "axes that turn": (_with(axes={"x": "translation", "y": "translation", "w": "rotation"}), "axes that translate"),
     "no avatar": (_environment(avatars={}), "environment.avatars: {pen: JOINT}"),
@@ -59,8 +95,6 @@ REFUSED = {
         slot(environment={"type": "network", "links": LINKS}),
         "an engine with an avatar for its tool",
     ),
-    "a ladder": (slot(design={"coupling": "spring-damper", "tau": 1e-4, "ladder": [2e-4]}), "no softer rung yet"),
-    "a wave link": (slot(couplings={"c": {"devices": ["pen"], "wave_link": {"b": 1.0}}}), "no wave link"),
     "no inertia": (slot({"inertia": 0.0}), "an inertia in kg·m² greater than 0"),
     "an osp without a number": (slot({"osp": math.nan}), "a level in N·m·s/rad"),
     "too little damping": (slot({"damping": 1e-4}), "at least the osp, 0.001 N·m·s/rad"),
@@ -69,6 +103,15 @@ REFUSED = {
     "a torque that ends": (slot({"torque": ["1/(t-1)", 0, 0]}), "a finite value at every time"),
     "no limits": ({**slot(), "devices": {"pen": {**slot()["devices"]["pen"], "orientation": {
         key: value for key, value in ORIENTATION.items() if key != "limits"}}}}, "limits"),
+    "no osp": ({**slot(), "devices": {"pen": {**slot()["devices"]["pen"], "orientation": {
+        key: value for key, value in ORIENTATION.items() if key != "osp"}}}}, "or sensed: true"),
+    "sensed with an osp": (_sensed(osp=0.001), "no osp: no motor turns a sensed device"),
+    "sensed with limits": (_sensed(limits=ORIENTATION["limits"]), "no limits: no motor turns a sensed device"),
+    "sensed without a stiffness": (_sensed("stiffness"), "by which the tool's avatar follows the hand"),
+    "sensed without a damping": (_sensed("damping"), "damping, of the simulated device, in N·m·s/rad"),
+    "simulated without an inertia": (_sensed("inertia"), "inertia, of the simulated device and its hand"),
+    "a recorded motion": (_with(driver="browser", hand=None), "nothing else turns in space"),
+    "sensed by a number": (_sensed(sensed=1), "true or false"),
     "an unknown key": (slot({"stifness": 1.0}), "stiffness"),
 }  # fmt: skip
 

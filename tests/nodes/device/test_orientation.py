@@ -110,12 +110,45 @@ def test_a_hand_in_time_puts_in_its_account_at_least(seed: int) -> None:
     assert of.spring.held > 0
 
 
+STIFF, SOFT = DeviceRung(0.0, RHO, DeviceShare(), 2.0 * B / (T * (1.0 + RHO))), DeviceRung(TAU, RHO, DeviceShare(), K)
+"""Rungs for no delay and for the longest, each with the stiffest spring that is proved there."""
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_change_of_rung_changes_the_stiffness_where_no_torque_acts(seed: int) -> None:
+    rng = np.random.default_rng(200 + seed)
+    of, body = oriented(rng)
+    s, k_before, changes = 0, K, 0
+    for k in range(1000):
+        if k % 250 == 10:
+            of.change(STIFF if k % 500 == 10 else SOFT)
+        of.sample(k, Instant(s))
+        late = of._k == K and of._next is None
+        d, h = from_seconds(rng.uniform(0, TAU) if late else 0.0), from_seconds(T * rng.uniform(1.0, 1.0 + RHO))
+        before = of.torque
+        of.exert(whatever(rng, of), Instant(s + min(d, h)))
+        if of._k != k_before:
+            k_before, changes = of._k, changes + 1
+            assert before == of.torque == NO_TORQUE
+            assert of.spring.proxy == of.R
+        elif of.most < of._limit:  # the ramp is a hundredth of the limit in each tick
+            assert math.hypot(*of.torque) <= of.most * (1.0 + 1e-9)
+        assert body.put_in >= of.least - ROUNDING
+        assert of.spring.account >= of.spring.deposited - of.spring.granted - ROUNDING
+        s += h
+    assert of.spring.late == 0.0
+    assert changes == 4
+
+
 @pytest.mark.parametrize("seed", range(12))
 def test_late_ticks_give_no_more_than_is_counted(seed: int) -> None:
+    """Whatever the rung is, and whenever that changes."""
     rng = np.random.default_rng(100 + seed)
     of, body = oriented(rng)
     s = 0
-    for k in range(60):
+    for k in range(60 if seed % 2 else 450):
+        if k % 150 == 20:
+            of.change(STIFF if k % 300 == 20 else SOFT)
         of.sample(k, Instant(s))
         h, d = from_seconds(T), from_seconds(TAU * rng.uniform(0, 1))
         if rng.random() < 0.3:

@@ -87,6 +87,32 @@ def test_a_hinge_of_a_tool_turns_its_frame_about_its_axis_and_a_slide_moves_it()
     assert MujocoEngine(("a", "b"), 1e-3, heard).drawing().frames["thumb"] == replace(told, turns=False, oriented=True)
 
 
+PEN = """<mujoco><compiler angle="radian"/><worldbody>
+<body name="carriage" pos="0 0 0.1"><joint name="x" type="slide" axis="1 0 0"/>
+  <joint name="y" type="slide" axis="0 1 0"/><geom size="0.01"/>
+  <body name="pen" pos="0.02 0 0" euler="0 0.5 0"><joint name="z" type="slide" axis="0 0 1"/>
+    <joint name="ball" type="ball" pos="0 0 0.03"/>
+    <geom type="capsule" size="0.004 0.03" mass="0.05"/></body></body>
+</worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize("told", [{}, {"bodies": ["pen"], "orientations": ["pen"]}])
+def test_a_tool_that_its_hand_turns_is_in_a_frame_of_its_ports_with_a_pivot(told: dict[str, Any]) -> None:
+    given = {"model": PEN, "tools": ["x", "y", "z"], "bodies": [], "stiffness": [1.0] * 3}
+    avatars = {"avatars": ["ball"], "avatar_stiffness": [0.01]}
+    drawing = MujocoEngine(("a", "b", "c"), 1e-3, given | avatars | told).drawing()
+    pen = drawing.frames["pen"]
+    assert (pen.ports, pen.reported, pen.oriented, drawing.hidden) == (("a", "b", "c"), False, False, ())
+    c, s = np.cos(0.5), np.sin(0.5)
+    assert pen.directions == (pytest.approx((1, 0, 0)), pytest.approx((0, 1, 0)), pytest.approx((s, 0, c)))
+    assert pen.pivot == pytest.approx((0.02 + 0.03 * s, 0.0, 0.1 + 0.03 * c))
+    assert drawing.frames["carriage"].pivot is None
+    assert drawing.frames["carriage"].ports == ("a", "b")
+
+    nobodys = MujocoEngine(("a", "b", "c"), 1e-3, given).drawing()
+    assert nobodys.hidden == ("pen",)
+
+
 def test_what_moves_unreported_is_named_and_not_drawn() -> None:
     assert drawn().hidden == ("unheard",)
     alone = drawn(bodies=())
@@ -143,6 +169,18 @@ def test_the_shipped_session_is_described_with_its_drawing(tmp_path: Path) -> No
     replace(about, drawing=moved).save(tmp_path)
     with pytest.raises(AboutError, match=r"drawing\.frames\.puck: found other ports"):
         About.load(tmp_path)
+    left = about.drawing.frames["left"]
+    unheld = replace(about.drawing, frames={**about.drawing.frames, "left": replace(left, pivot=left.at)})
+    replace(about, drawing=unheld, hands=("left",)).save(tmp_path)
+    assert About.load(tmp_path).drawing == unheld
+    for hands, place in (
+        ((), r"drawing\.frames\.left"),
+        (("right",), r"drawing\.frames\.left"),
+        (("nobody",), "hands"),
+    ):
+        replace(about, drawing=unheld, hands=hands).save(tmp_path)
+        with pytest.raises(AboutError, match=f"{place}: found"):
+            About.load(tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -156,6 +194,8 @@ def test_the_shipped_session_is_described_with_its_drawing(tmp_path: Path) -> No
         ({"frames": {"a": Frame((0, 0, 0), UPRIGHT, ("p",))}}, "a direction for each port"),
         ({"frames": {"a": Frame((0, 0, 0), UPRIGHT, axes={"p": (0, 0, 0)})}}, "found an axis of no port of it"),
         ({"frames": {"a": Frame((0, 0, np.inf), UPRIGHT)}}, "not finite"),
+        ({"frames": {"a": Frame((0, 0, 0), UPRIGHT, pivot=(0, 0, 0))}}, "a pivot; expected ports"),
+        ({"frames": {"a": Frame((0, 0, 0), UPRIGHT, ("p",), ((1, 0, 0),), pivot=(0, np.nan, 0))}}, "not finite"),
     ],
 )
 def test_a_drawing_that_cannot_be_drawn_is_refused(changes: dict[str, Any], error: str) -> None:

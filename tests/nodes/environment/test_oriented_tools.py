@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from manyhands.design.levels.contract import DeviceShare
-from manyhands.nodes.device.orientation import DeviceOrientation
+from manyhands.nodes.device.orientation import NO_TORQUE, DeviceOrientation, SensedOrientation, TurnedBody
 from manyhands.nodes.environment.model import AskedModel
 from manyhands.nodes.environment.mujoco import MujocoEngine
 from manyhands.nodes.environment.oriented_tools import OrientedTools
-from manyhands.nodes.kernel.bundle import DeviceRung, OrientationPart, OrientedTool, TurnedHand
+from manyhands.nodes.kernel.bundle import DeviceRung, OrientationPart, OrientedTool, SensedPart, TurnedHand
 from manyhands.nodes.kernel.factory import FactoryError
 from manyhands.nodes.kernel.orientation import (
     NO_RIDER,
@@ -165,6 +165,75 @@ def test_whatever_an_engine_proposes_and_whoever_starts_anew_nothing_is_granted_
         assert gone + sum(by.spring.account for by in hands) >= -1e-12
     assert lost > 2
     assert sum(by.spring.held for by in hands) > 0
+
+
+def with_a_grip(of: Any, feel: int) -> tuple[OrientedTools, list[DeviceOrientation], SensedOrientation]:
+    """The tools of a sensed hand and of so many that feel a torque, in an engine ``of`` them."""
+    asked = AskedModel("engine", of, ("p.x", "p.y", "p.z"))
+    felt = [OrientedTool(f"p{i}", K, PART.torque, PART.power(T)) for i in range(feel)]
+    tools = OrientedTools([OrientedTool("grip", K, None, None), *felt], asked)
+    return (
+        tools,
+        [hand() for _ in range(feel)],
+        SensedOrientation(TurnedBody(TurnedHand(1e-5, 1e-3, (0.01, 0.0, 0.0)), T), T),
+    )
+
+
+class Deposits(list[float]):
+    """What a sensed hand says of itself, with deposits that nobody made."""
+
+    def __init__(self, of: SensedOrientation, rng: np.random.Generator, k: int) -> None:
+        super().__init__(of.rides)
+        self[4] = float(rng.choice([0.0, 1e-3 * k, 1e9]))
+
+
+@pytest.mark.parametrize("honest", [True, False])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_hand_that_feels_nothing_gives_no_other_hand_energy(seed: int, honest: bool) -> None:
+    """Whatever it does and says, an engine that means no good has no more for other hands than these have given."""
+    rng = np.random.default_rng(seed)
+    tools, felt, grip = with_a_grip(Liar(rng, 3), 2)
+    for k in range(250):
+        grip.sample(k, Instant(0))
+        grip.R = turned_by(grip.R, (rng.standard_normal(3) * (0.5 if rng.random() < 0.2 else 0.01)).tolist())
+        up = grip.rides if honest else [*Deposits(grip, rng, k)]
+        for by in felt:
+            by.sample(k, Instant(0))
+            up = up + (by.rides if rng.random() < 0.8 else [*NO_RIDER])
+        tools.hear(up, k)
+        down = tools.answer()
+        assert grip.exert(down[:RIDER], Instant(0)) == NO_TORQUE
+        for i, by in enumerate(felt, start=1):
+            by.exert(down[RIDER * i : RIDER * (i + 1)], Instant(0))
+            assert by.spring.account >= by.spring.deposited - by.spring.granted - 1e-15
+        assert tools.bank.balance >= 0.0
+        assert sum(by.spring.account for by in felt) >= -1e-12
+        assert down[RIDER - 2] == 0.0
+    assert sum(by.spring.held for by in felt) > 0
+    assert tools.heard[:4] == list(grip.R)
+
+
+def test_a_hand_that_feels_nothing_leads_its_tool() -> None:
+    tools, _, grip = with_a_grip(engine(text()), 0)
+    zero = np.zeros(3)
+    for k in range(400):
+        grip.sample(k, Instant(0))
+        tools.hear(grip.rides, k)
+        tools._asked.proxies(zero, zero, k)
+        tools.answer()
+    assert angle(grip.R, UPRIGHT) > 0.3
+    assert angle(grip.R, Quaternion(*tools.told[:4])) < 0.1
+    assert grip.row() == (grip.R,)
+    assert tools.heard[4] == 0.0  # a spring of its own would have deposited what nobody gave
+
+
+def test_a_tool_has_a_torque_with_a_power_or_neither() -> None:
+    for torque, power in ((None, 1.0), (0.1, None), (0.1, 0.0), (math.nan, 1.0)):
+        with pytest.raises(ValueError, match="expected"):
+            OrientedTool("p", K, torque, power)
+    for k in (0.0, math.inf):
+        with pytest.raises(ValueError, match="stiffness"):
+            SensedPart(k, PART.source)
 
 
 class Swing:

@@ -26,9 +26,10 @@ from manyhands.nodes.guest.seat import (
     felt_as_measured,
     force_sentence,
     is_calm,
+    turning_sentence,
     with_force,
 )
-from manyhands.nodes.kernel.bundle import SIMULATED, CouplingBundle, DeviceBundle
+from manyhands.nodes.kernel.bundle import SIMULATED, CouplingBundle, DeviceBundle, OrientationPart, TurnedHand
 from manyhands.nodes.kernel.lifetime import Sight, Stopped
 from manyhands.protocol.clock import Duration, Instant, from_seconds
 from manyhands.protocol.messages import Echo, Stop
@@ -102,6 +103,22 @@ def test_what_both_ends_measure_is_told_by_the_same_law() -> None:
     )
     turning = felt_as_measured(coupling([10.0], kinds=(AxisKind.ROTATION,)), 0.005)
     assert "K = 4000 N·m/rad, and free space weighs M = 25 g·m² more" in turning
+
+
+@pytest.mark.parametrize(
+    ("network", "said"),
+    [
+        (0.004, "turning drags like about 0.004 N·m·s/rad, for what the tool answers is 4 ms old; its spring of 1 "
+                "N·m/rad is what a wall feels like"),
+        (0.0401, "turning drags like about 0.0401 N·m·s/rad, for what the tool answers is 40.1 ms old; its spring of "
+                 "1 N·m/rad is what a wall feels like, and buzzes: 0.0998 N·m/rad would not"),
+    ],
+)  # fmt: skip
+def test_a_guest_is_told_what_turning_feels_like_so_far_away(network: float, said: str) -> None:
+    part = OrientationPart(0.001, 1.0, 0.2, 30.0, TurnedHand(2e-5, 0.001, (0.0, 0.0, 0.0)))
+    device = cast(DeviceBundle, SimpleNamespace(orientation=part))
+    assert turning_sentence(device, network) == said
+    assert turning_sentence(cast(DeviceBundle, SimpleNamespace(orientation=None)), network) is None
 
 
 @pytest.fixture

@@ -18,7 +18,9 @@ def test_a_press_counts_at_once_and_a_bounce_does_not() -> None:
     assert [buttons.take(k, 0b00) for k in range(6, 5 + EVERY)] == [0] * (EVERY - 1)  # a contact that bounces
     assert buttons.take(5 + EVERY, 0b00) == 0b01
     assert buttons.state == 0
+    assert buttons.table() == {"d.a": 0.0, "d.b": 0.0}
     assert buttons.take(5 + EVERY, 0b10) == 0b10, "each button has a time of its own"
+    assert buttons.table() == {"d.a": 0.0, "d.b": 1.0}
 
 
 @given(st.lists(st.integers(0, 7), max_size=300), st.sampled_from([1e-4, 1e-3, 0.016, 0.5]))

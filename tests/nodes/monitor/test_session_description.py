@@ -56,6 +56,7 @@ IN_SPACE = replace(
         replace(WHOLE, seats={"cx": "dx"}),
         replace(WHOLE, nodes=WHOLE.nodes | {"dx": replace(WHOLE.nodes["dx"], wall=True, torques=True)}),
         IN_SPACE,
+        replace(WHOLE, hands=("dx",), sensed=("dx",)),
     ],
 )
 def test_round_trip(about: About, tmp_path: Path) -> None:
@@ -82,7 +83,7 @@ def without(key: str) -> str:
     return json.dumps(plain)
 
 
-LATER = ("force", "drawing", "turning", "oriented", "hands")
+LATER = ("force", "drawing", "turning", "oriented", "hands", "sensed")
 """What descriptions have had later than others."""
 
 DAMAGED = {

@@ -108,6 +108,33 @@ def test_velocity_of_a_device_in_wall_time_is_by_the_instants_of_its_samples() -
     assert np.isnan(values[[0, 3]]).all()
 
 
+TURNED = replace(ABOUT, hands=("left",))
+
+
+def test_the_angle_between_a_device_and_its_tool_is_that_of_the_turn() -> None:
+    """Of either sign of a quaternion, to the last digits where it is small, and a gap where one is none."""
+    tracks = Tracks(TURNED, window=0.01, buckets=10)  # a tick a bucket
+    by = [0.0, 1e-9, 0.3, 3.0]
+    Q = np.array([[0.5, -0.5, 0.5, 0.5]] * 5)
+    R = np.empty((5, 4))
+    for row, angle in enumerate([*by, 0.0]):
+        c, s = np.cos(angle / 2), np.sin(angle / 2)
+        R[row] = [c * 0.5 + s * 0.5, c * -0.5 + s * 0.5, c * 0.5 - s * 0.5, c * 0.5 + s * 0.5]  # turned about x
+    R[1::2] *= -1.0
+    R[4, 0] = np.inf
+    tracks.take(Observation("left", 5, Figures(), {"R": R, "Q": Q}))
+    values = track_of(tracks, "left/angle").since(0).values[:, 0, 0]
+    assert values[:4].tolist() == pytest.approx(by, rel=1e-6, abs=1e-15)
+    assert np.isnan(values[4])
+    tracks.take(Observation("left", 10, Figures(), {"Q": Q}))
+    assert track_of(tracks, "left/angle").end == 5
+
+
+def test_of_a_hand_that_turns_what_is_drawn_has_tracks() -> None:
+    names = {key.name for key in Tracks(TURNED).columns} - {key.name for key in Tracks(ABOUT).columns}
+    assert names == {f"left/{topic}" for topic in ("orientation", "proxy", "torque", "account", "angle")}
+
+
 def test_a_trace_of_another_shape_is_counted_and_left_out() -> None:
     tracks = Tracks(ABOUT)
     tracks.take(Observation("left", 100, Figures(), {"x": np.zeros((100, 3))}))

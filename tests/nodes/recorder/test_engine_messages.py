@@ -70,6 +70,57 @@ def test_frames_are_where_mujoco_has_them() -> None:
             assert abs(float(np.dot(turn, data.xquat[body]))) == pytest.approx(1.0, abs=1e-12)  # q and -q are one turn
 
 
+PEN = """<mujoco><compiler angle="radian"/><option gravity="0 0 0"/><worldbody>
+<body name="carriage" pos="0 0 0.1" euler="0 0 0.4"><joint name="x" type="slide" axis="1 0 0"/>
+  <joint name="y" type="slide" axis="0 1 0"/><geom size="0.01"/>
+  <body name="pen" pos="0.02 0 0" euler="0 0.5 0"><joint name="z" type="slide" axis="0 0 1"/>
+    <joint name="ball" type="ball" pos="0 0.01 0.03"/><geom type="capsule" size="0.004 0.03"/></body></body>
+</worldbody></mujoco>"""
+
+
+def pen() -> WorldDrawing:
+    given = {"model": PEN, "tools": ["x", "y", "z"], "bodies": [], "stiffness": [1.0] * 3}
+    return MujocoEngine(PORTS, 1e-3, given | {"avatars": ["ball"], "avatar_stiffness": [1e-3]}).drawing()
+
+
+def test_a_tool_is_turned_as_its_hand_was_told_last() -> None:
+    """About a point beside its body's origin, after another hand in the trace; zeros tell nothing."""
+    model: Any = mujoco.MjModel.from_xml_string(PEN)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, "pen")
+    start = data.xquat[body].copy()
+    random = np.random.default_rng(6)
+    x_e, told = random.normal(size=(6, 3)), np.zeros((6, 10))
+    for row in range(6):
+        data.qpos[:3], data.qpos[3:] = x_e[row], random.normal(size=4)
+        data.qpos[3:] /= np.linalg.norm(data.qpos[3:])
+        mujoco.mj_forward(model, data)
+        by = np.zeros(4)
+        mujoco.mju_mulQuat(by, data.xquat[body], [start[0], *-start[1:]])  # in the world's axes
+        told[row, :4], told[row, 5:9] = (1.0, 0.0, 0.0, 0.0), by
+    told[4, 5:] = 0.0
+    told[5, 5:] = np.nan
+    hands = {"other": ("o.a", "o.b", "o.c"), "d": PORTS}
+    space = EngineMessages(pen(), "s", "environment", PORTS, (), (), TICK_NS, hands)
+    poses = space.poses({"x_e": x_e, "told": told})
+    assert poses is not None
+    for row, pose in enumerate(poses):
+        data.qpos[:3] = x_e[row]
+        turn = told[min(row, 3), 5:9]
+        mujoco.mju_mulQuat(by, turn, start)
+        if row < 4:
+            own = np.zeros(4)
+            mujoco.mju_mulQuat(own, [start[0], *-start[1:]], by)
+            data.qpos[3:] = own
+        mujoco.mj_forward(model, data)
+        at, found = pose["pen"]
+        assert at == pytest.approx(data.xpos[body], abs=1e-12)
+        assert abs(float(np.dot(found, data.xquat[body]))) == pytest.approx(1.0, abs=1e-12)
+        assert pose["carriage"][0] == pytest.approx(data.xpos[body - 1], abs=1e-12)
+    assert space.poses({"x_e": x_e}) is None
+
+
 def recorded() -> Recorded:
     roles = {"d": Role.DEVICE, "environment": Role.ENVIRONMENT}
     ports = {"d": PORTS, "environment": PORTS}

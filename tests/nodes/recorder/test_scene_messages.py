@@ -28,7 +28,7 @@ from manyhands.design.models.scene import (
 )
 from manyhands.nodes.recorder.core import RecorderCore
 from manyhands.nodes.recorder.format import Recorded
-from manyhands.nodes.recorder.scene_messages import DRAWN_RADIUS, SCENE_SCHEMAS, SceneMessages
+from manyhands.nodes.recorder.scene_messages import DRAWN_RADIUS, POSE_SCHEMA, SCENE_SCHEMAS, SceneMessages
 from manyhands.protocol.codec import encode
 from manyhands.protocol.messages import Figures, Observation, Role
 
@@ -226,6 +226,7 @@ def kinds() -> dict[str, Any]:
         "points": messages.Point3,
         "colors": messages.Color,
         **dict.fromkeys(("orientation", "rotation"), messages.Quaternion),
+        "foxglove.PoseInFrame": messages.PoseInFrame,
         "foxglove.SceneUpdate": messages.SceneUpdate,
         "foxglove.FrameTransforms": messages.FrameTransforms,
     }
@@ -255,9 +256,8 @@ def stated(key: str, schema: dict[str, Any]) -> Iterator[tuple[str, dict[str, An
         yield key, schema
 
 
-@pytest.mark.parametrize("topic", SCENE_SCHEMAS)
-def test_schemas_have_the_keys_that_foxglove_publishes(topic: str) -> None:
-    name, text = SCENE_SCHEMAS[topic]
+@pytest.mark.parametrize(("name", "text"), [*SCENE_SCHEMAS.values(), POSE_SCHEMA])
+def test_schemas_have_the_keys_that_foxglove_publishes(name: str, text: str) -> None:
     for key, schema in stated(name, json.loads(text)):
         expected = {"key", "value"} if key == "metadata" else keys_of(key)
         assert set(schema["properties"]) == set(schema["required"]) == expected, key

@@ -39,6 +39,12 @@ export function place(element, attributes) {
   }
 }
 
+/** Mark a tool in the picture while buttons of its device are pressed. */
+export function showPressed(mark, pressed, at) {
+  mark.style.display = pressed.length ? "" : "none";
+  place(mark, pressed.length ? { cx: at.x, cy: at.y, "data-pressed": pressed.join(" ") } : { "data-pressed": "" });
+}
+
 /** The height that a drawing in a holder has to fill, px: the least that the style sheet states for what the holder is in. */
 export const height = (holder) => Math.round(parseFloat(getComputedStyle(holder.parentElement).minHeight));
 

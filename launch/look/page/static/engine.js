@@ -2,27 +2,12 @@
 
 import { ABOVE } from "./orbit.js";
 import { shapesOf } from "./shapes.js";
+import { QUATERNION, STILL, inverse, times, turned, unitOf } from "./turns.js";
 
 /** By the axis that is upwards in the engine, how it is turned so that y is, as the drawing has it. */
 const UPRIGHT = { y: [1, 0, 0, 0], z: [Math.SQRT1_2, -Math.SQRT1_2, 0, 0] };
 const AXES = ["x", "y", "z"];
 const FLAT = 0.9; // of the cosine from a plane's normal to the vertical: what is flatter is the ground
-
-const times = ([a, b, c, d], [w, x, y, z]) => [
-  a * w - b * x - c * y - d * z,
-  a * x + b * w + c * z - d * y,
-  a * y - b * z + c * w + d * x,
-  a * z + b * y - c * x + d * w,
-];
-
-const inverse = ([w, x, y, z]) => [w, -x, -y, -z];
-
-/** A vector, turned by a unit quaternion. */
-const turned = (turn, v) => times(times(turn, [0, ...v]), inverse(turn)).slice(1);
-
-const QUATERNION = ["qw", "qx", "qy", "qz"];
-const STILL = [1, 0, 0, 0];
-const LEAST_LENGTH = 0.5; // of the mean of two unit quaternions of one bucket: a shorter one says nothing
 
 export class Engine {
   constructor(session) {
@@ -33,7 +18,7 @@ export class Engine {
     this.axes = [[1, 0, 0], [0, 1, 0], [0, 0, 1]].map((axis) => turned(this.upright, axis));
     const devices = Object.entries(about.nodes).filter(([, node]) => node.role === "device");
     this.things = Object.entries(this.drawing.frames).map(([name, frame]) => {
-      const { at, turn, ports, directions, reported, axes, oriented } = frame;
+      const { at, turn, ports, directions, reported, axes, oriented, pivot } = frame;
       const [device] = devices.find(([, node]) => ports.length === node.ports.length && node.ports.every((port) => ports.includes(port))) ?? [];
       const shapes = this.drawing.shapes.filter((shape) => shape.frame === name);
       const own = device ? about.nodes[device].ports : ports; // in the order of the device's traces
@@ -47,6 +32,7 @@ export class Engine {
         directions: reported ? this.axes : own.map((port) => turned(this.upright, directions[ports.indexOf(port)])),
         along: reported ? this.axes : own.map((port) => (axes[port] ? [0, 0, 0] : turned(this.upright, directions[ports.indexOf(port)]))),
         points: names.map((port) => (axes[port] ? turned(this.upright, axes[port]) : null)), // of the axes that turn it
+        pivot: pivot && turned(this.upright, pivot), // about which its hand turns it
         inwards: reported ? [0, 1, 2] : ports.map((port) => own.indexOf(port)), // the joints from the world to the thing
         quaternion: oriented ? QUATERNION.map((part) => tracks.get("environment/orientations").columns.indexOf(`${name}.${part}`)) : null,
         start: turn,
@@ -67,11 +53,19 @@ export class Engine {
     return shapesOf(shapes, thing.base, () => material, thing.radius);
   }
 
-  /** The pose of a thing whose axes have these displacements: its place, its turn, and where its axes point then. */
-  pose(thing, values) {
+  /** The pose of a thing whose axes have these displacements: its place, its turn, and where its axes point then.
+
+  What a hand turns, and the point about which it does, is turned as the device's trace `topic` says.
+  */
+  pose(thing, values, topic = "proxy") {
     const pointing = [...thing.along];
-    let place = thing.at;
-    let turn = STILL;
+    let [place, turn] = [thing.at, STILL];
+    if (thing.pivot) {
+      const by = this.byHand(thing.name, topic);
+      const centre = thing.pivot.map((x, i) => thing.along.reduce((sum, along, port) => sum + values[port] * along[i], x));
+      const away = turned(by, place.map((x, i) => x - thing.pivot[i]));
+      return { place: centre.map((x, i) => x + away[i]), pointing, turn: times(by, thing.base), centre };
+    }
     [...thing.inwards].reverse().forEach((port, done, outwards) => {
       const point = thing.points[port];
       if (point === null) {
@@ -90,11 +84,28 @@ export class Engine {
   /** How far a thing is turned from the start: as its engine reports it, else by its own axes. */
   spin({ quaternion, start }, own) {
     if (!quaternion) return own;
-    const found = quaternion.map((column) => this.session.known("environment/orientations", column));
-    const length = Math.hypot(...found);
-    if (length < LEAST_LENGTH) return STILL;
-    const since = times(found.map((x) => x / length), inverse(start));
-    return times(times(this.upright, since), inverse(this.upright));
+    const found = unitOf(quaternion.map((column) => this.session.known("environment/orientations", column)));
+    return found ? this.drawn(times(found, inverse(start))) : STILL;
+  }
+
+  /** How far a hand's device has turned, or its tool, as its trace says. */
+  byHand(device, topic) {
+    const found = unitOf(QUATERNION.map((_, part) => this.session.known(`${device}/${topic}`, part)));
+    return found ? this.drawn(found) : STILL;
+  }
+
+  /** A rotation of the model in the drawing, and a vector of the model. */
+  drawn(turn) {
+    return times(times(this.upright, turn), inverse(this.upright));
+  }
+
+  vector(v) {
+    return turned(this.upright, v);
+  }
+
+  /** A vector of the drawing in the model. */
+  inModel(v) {
+    return turned(inverse(this.upright), v);
   }
 
   /** Where an engine's bodies touch is not reported. */
@@ -104,9 +115,12 @@ export class Engine {
 
   remark() {
     const { hidden, large, frames } = this.drawing;
+    const hands = Object.values(frames).some(({ pivot }) => pivot);
     const turns = Object.keys(frames).filter((name) => frames[name].turns);
     const of = (names, text) => (names.length ? `${names.join(", ")}: ${text}. ` : "");
     return (
+      (hands ? "Rods at a tool: how it is turned, along its own x (the longest), y and z; faint: how its device is. Arc: the torque on the hand. " : "") +
+      (this.session.about.grips.some((device) => this.session.turnsInSpace(device)) ? "Drag a ring with Shift, or with the right button, to turn its tool; or move a second finger around it, or press W, A, S, D, Q and E on it. " : "") +
       of(turns, "how it is turned is not reported, and it is drawn as it was at the start (environment.orientations)") +
       of(hidden, "not drawn, since where it is is not reported (environment.bodies)") +
       of(large, "not drawn, since it has too many triangles")

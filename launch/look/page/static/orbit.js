@@ -137,19 +137,28 @@ const KEYS = {
 
 /** Let pointers on `surface`, and keys and the wheel on `frame`, move the camera.
 
+`claims` returns what a pointer does instead, a function of its later events, or null.
+
 One pointer turns it; with Shift, or a button other than the first, it pans. Two fingers zoom and pan. The wheel zooms
 where `frame` has the focus, or with Ctrl, so that a page which is scrolled is not caught here.
 */
-export function steer(orbit, frame, surface) {
+export function steer(orbit, frame, surface, claims) {
   const pointers = new Map(); // by id: the latest position, px
+  const claimed = new Map(); // by id of others: what they do
   surface.addEventListener("contextmenu", (event) => event.preventDefault());
   surface.addEventListener("pointerdown", (event) => {
     event.preventDefault();
-    frame.focus({ preventScroll: true });
     surface.setPointerCapture(event.pointerId);
+    const instead = claims(event);
+    if (instead) {
+      claimed.set(event.pointerId, instead);
+      return;
+    }
+    frame.focus({ preventScroll: true });
     pointers.set(event.pointerId, [event.clientX, event.clientY]);
   });
   surface.addEventListener("pointermove", (event) => {
+    claimed.get(event.pointerId)?.(event);
     const before = pointers.get(event.pointerId);
     if (before === undefined) return;
     const now = [event.clientX, event.clientY];
@@ -160,7 +169,7 @@ export function steer(orbit, frame, surface) {
     else orbit.turn(-TURN * dx, TURN * dy);
   });
   for (const end of ["pointerup", "pointercancel", "lostpointercapture"]) {
-    surface.addEventListener(end, (event) => pointers.delete(event.pointerId));
+    surface.addEventListener(end, (event) => pointers.delete(event.pointerId) || claimed.delete(event.pointerId));
   }
   frame.addEventListener(
     "wheel",

@@ -7,6 +7,8 @@ const QUANTITIES = [
   { id: "x", label: "Position", topics: ["sample", "tools", "masses", "tool"], shown: ["sample", "tools", "masses"] },
   { id: "v", label: "Velocity", topics: ["velocity"] },
   { id: "f", label: "Force", topics: ["force", "reaction"], shown: ["force"] },
+  { id: "angle", label: "Angle", topics: ["angle"] },
+  { id: "t", label: "Torque", topics: ["torque"] },
   { id: "E", label: "Ledgers", topics: ["ledger"] },
   { id: "account", label: "Accounts", topics: ["interface"] },
   { id: "tau", label: "Delay", topics: ["tau"] },
@@ -21,7 +23,7 @@ const variable = (name) => getComputedStyle(document.documentElement).getPropert
 /** The owner of a trace: a port, where a device or the environment moves it; otherwise a node. */
 function nameOf(role, track, column) {
   if (column === track.symbol) return track.node;
-  return role === "coupling" ? `${track.node} ${column}` : column;
+  return role === "coupling" || track.topic === "torque" ? `${track.node} ${column}` : column;
 }
 
 /** The traces of a quantity: each is a column of a track, with its name, colour and dash. */

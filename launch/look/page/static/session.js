@@ -60,18 +60,28 @@ export class Session {
     return Number.isNaN(value) ? 0 : value;
   }
 
+  /** The buttons of a device that are pressed. */
+  pressed(device) {
+    return this.nodes.get(device)?.pressed ?? [];
+  }
+
+  /** Whether a hand turns the tool of a device in space. */
+  turnsInSpace(device) {
+    return this.about.hands.includes(device);
+  }
+
   /** Whether a port or a body turns: its place is an angle, and its force a torque. */
   turns(name) {
     return this.turning.has(name);
   }
 
-  /** The greatest magnitude of some topics in the last seconds, of what turns or of what does not. */
+  /** The greatest magnitude of some topics in the last seconds: of what turns, of what does not, or (null) of all. */
   greatest(topics, turns = false) {
     let most = 0;
     for (const track of this.tracks.values()) {
       if (!topics.includes(track.topic)) continue;
       track.columns.forEach((column, c) => {
-        if (this.turns(column) === turns) most = Math.max(most, track.most(c, Math.ceil(LATELY / track.seconds)));
+        if (turns === null || this.turns(column) === turns) most = Math.max(most, track.most(c, Math.ceil(LATELY / track.seconds)));
       });
     }
     return most;

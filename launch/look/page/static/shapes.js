@@ -30,7 +30,10 @@ export class Palette {
     this.materials = new Map();
     const named = (name, make, colour = name) => this.materials.set(name, { colour: `--${colour}`, material: make() });
     named("accent", () => new THREE.MeshLambertMaterial());
-    named("hidden", () => new THREE.MeshBasicMaterial({ transparent: true, opacity: 0.3, depthTest: false, depthWrite: false }), "accent");
+    const through = (opacity) => new THREE.MeshBasicMaterial({ ...CLEAR, opacity, depthTest: false }); // seen through what is in front
+    named("hidden", () => through(0.3), "accent");
+    named("ghost", () => through(0.22), "accent");
+    named("arc", () => through(0.4), "trace-1");
     named("thing", () => new THREE.MeshLambertMaterial());
     named("solid", () => new THREE.MeshLambertMaterial({ side: THREE.DoubleSide, ...BEHIND }));
     named("trace-1", () => new THREE.MeshLambertMaterial());
@@ -135,6 +138,78 @@ export class Arrow {
     this.head.position.set(end[0], end[1], end[2]);
     this.head.scale.y = high;
   }
+}
+
+const ARC_PARTS = 96; // of a whole circle of an arc
+const ARC_SIDES = 8; // of its round
+
+/** An arrow on an arc about an axis, whose thickness does not depend on its length. */
+export class Arc {
+  constructor(radius, thickness, palette) {
+    Object.assign(this, { radius, thickness, high: 6 * thickness });
+    const material = palette.of("trace-1");
+    this.shaft = new THREE.Mesh(hoop(radius, thickness), material);
+    this.head = new THREE.Mesh(HEAD, material);
+    for (const one of [this.shaft, this.head]) one.add(new THREE.Mesh(one.geometry, palette.of("arc")));
+    this.group = new THREE.Group().add(this.shaft, this.head);
+    this.angle = 0;
+  }
+
+  /** About a place and an axis, by an angle; nothing is drawn of one that is shorter than its head. */
+  put(at, axis, angle) {
+    const head = this.high / this.radius;
+    this.group.visible = angle > head;
+    this.angle = this.group.visible ? angle : 0;
+    if (!this.group.visible) return;
+    this.group.position.fromArray(at);
+    this.group.quaternion.setFromUnitVectors(UP, direction.fromArray(axis).normalize());
+    const parts = Math.max(1, Math.round(((angle - 0.9 * head) / (2 * Math.PI)) * ARC_PARTS));
+    this.shaft.geometry.setDrawRange(0, 6 * ARC_SIDES * Math.min(parts, ARC_PARTS));
+    this.head.position.set(this.radius * Math.sin(angle), 0, this.radius * Math.cos(angle));
+    this.head.quaternion.setFromUnitVectors(UP, direction.set(Math.cos(angle - head / 2), 0, -Math.sin(angle - head / 2)));
+    this.head.scale.set(2.4 * this.thickness, this.high, 2.4 * this.thickness);
+  }
+
+  /** Places along it, so many at most. */
+  along(count) {
+    if (this.angle === 0) return [];
+    return Array.from({ length: count }, (_, i) => {
+      const part = (this.angle * i) / (count - 1);
+      return new THREE.Vector3(this.radius * Math.sin(part), 0, this.radius * Math.cos(part)).applyQuaternion(this.group.quaternion).add(this.group.position).toArray();
+    });
+  }
+}
+
+/** A ring about y, whose triangles follow each other from z on towards x. */
+function hoop(radius, thickness) {
+  const [points, corners] = [[], []];
+  for (let i = 0; i <= ARC_PARTS; i += 1) {
+    const along = (2 * Math.PI * i) / ARC_PARTS;
+    for (let j = 0; j < ARC_SIDES; j += 1) {
+      const about = (2 * Math.PI * j) / ARC_SIDES;
+      const far = radius + thickness * Math.cos(about);
+      points.push(new THREE.Vector3(far * Math.sin(along), thickness * Math.sin(about), far * Math.cos(along)));
+      const [here, beside] = [i * ARC_SIDES + j, i * ARC_SIDES + ((j + 1) % ARC_SIDES)];
+      if (i < ARC_PARTS) corners.push(here, here + ARC_SIDES, beside, beside, here + ARC_SIDES, beside + ARC_SIDES);
+    }
+  }
+  const geometry = new THREE.BufferGeometry().setFromPoints(points);
+  geometry.setIndex(corners);
+  geometry.computeVertexNormals();
+  return geometry;
+}
+
+export const RODS = [1, 0.75, 0.5]; // parts of the longest: along x, y and z of a thing
+
+/** Rods along the axes of a thing from its origin, the longest `length` long. */
+export function rods(length, thickness, material) {
+  const group = new THREE.Group();
+  RODS.forEach((part, axis) => {
+    const rod = new THREE.Mesh(SHAFT, material);
+    span(rod, [0, 0, 0], [0, 0, 0].map((_, i) => (i === axis ? part * length : 0)), thickness);
+    group.add(rod);
+  });
+  return group;
 }
 
 /** A spring between two places. */

@@ -2,14 +2,22 @@
 
 import { Contacts } from "./contacts.js";
 import { Engine } from "./engine.js";
-import { buttons, height, html, place, say, svg } from "./elements.js";
+import { buttons, height, html, place, say, showPressed, svg } from "./elements.js";
 import { fitted, quantity, rounded } from "./format.js";
 import { Labels } from "./labels.js";
 import { FIELD, Orbit, steer } from "./orbit.js";
-import { Arrow, Marks, Palette, Shade, Spring, Stage, grid, lights, obstacle, solid } from "./shapes.js";
+import { Arc, Arrow, Marks, Palette, RODS, Shade, Spring, Stage, grid, lights, obstacle, rods, solid } from "./shapes.js";
+import { turned } from "./turns.js";
 
 const AXES = ["x", "y", "z"];
 const LEAST_FORCE = 0.1; // N, the smallest that may fill the drawing
+const LEAST_TORQUE = 0.002; // N·m, likewise
+const HALF_TURN = Math.PI; // rad, the arc of the greatest torque
+const ROD = 1.5; // of a thing's radius: the longest rod along its axes
+const ARC = 1.25; // of a thing's radius: that of the arc of a torque
+const [THIN, THICK] = [0.008, 0.012]; // parts of the scene's radius: half of the thickness of a rod, and of an arc
+const ARC_PLACES = 13; // of the arc, for the names that avoid it
+const LEAST_ARC = 0.1; // parts of the scene's radius, likewise
 const LOOK = 500; // ms between two updates of the scale
 const MOTION = 0.2; // parts of a device's greatest displacement that the first view has room for
 const ROOM = 0.1; // of the size of all that is drawn, at most as much: limits may be far beyond it
@@ -25,7 +33,9 @@ export class Space {
     this.world = session.about.drawing ? new Engine(session) : new Scene(session);
     this.things = this.world.things;
     this.around = around(session.about, this.world);
-    this.mostForce = 0;
+    this.mostForce = this.mostTorque = 0;
+    this.hands = this.things.filter(({ pivot }) => pivot); // the tools that hands turn
+    this.foot = this.hands.length ? 42 : 26; // px below that the scales fill
     this.looked = -Infinity;
     this.drawn = ""; // the picture that the canvas shows: its instant and the camera's motions
     this.orbit = new Orbit(this.around.corners, this.around.radius, this.world.from);
@@ -46,7 +56,7 @@ export class Space {
     );
     this.write();
     holder.replaceChildren(this.frame);
-    steer(this.orbit, this.frame, canvas);
+    steer(this.orbit, this.frame, canvas, (event) => grips.beside(event));
     new ResizeObserver(() => this.arrange()).observe(holder);
     this.scheme = matchMedia("(prefers-color-scheme: dark)");
     this.recolour = () => {
@@ -74,6 +84,13 @@ export class Space {
       thing.mesh.add(...this.world.solid(drawn, palette.of("hidden")).children); // seen through what is in front
       thing.arrow = new Arrow(0.014 * around.radius, palette);
       scene.add(thing.arrow.group);
+      if (!thing.pivot) continue;
+      thing.ghost = this.world.solid(drawn, palette.of("ghost"));
+      for (const [one, colour] of [[thing.mesh, "accent"], [thing.mesh, "hidden"], [thing.ghost, "ghost"]]) {
+        one.add(rods(ROD * thing.drawnRadius, THIN * around.radius, palette.of(colour)));
+      }
+      thing.arc = new Arc(Math.max(ARC * thing.drawnRadius, LEAST_ARC * around.radius), THICK * around.radius, palette);
+      scene.add(thing.ghost, thing.arc.group);
     }
     this.springs = joinedBy(about.springs, things).map((ends) => ({ ends, spring: new Spring(0.02 * around.radius, palette) }));
     for (const { spring } of this.springs) scene.add(spring.line);
@@ -83,20 +100,23 @@ export class Space {
 
   /** Rings, names and scale. */
   write() {
-    const drag = (thing) => ({ start: (event, x) => this.drag(event, x, thing), most: () => this.around.radius });
+    const axes = () => [this.orbit.right, this.orbit.up, this.orbit.back].map((axis) => this.world.inModel(axis));
+    const drag = (thing) => ({ start: (event, x) => this.drag(event, x, thing), most: () => this.around.radius, axes });
     for (const thing of this.things) {
       thing.label = svg("text", { [thing.tool ? "data-tool" : "data-mass"]: thing.name }, thing.name);
       if (!thing.tool) continue;
       thing.lag = svg("line", { class: "lag" });
       thing.target = svg("path", { class: "target" });
+      thing.pressed = svg("circle", { class: "pressed", r: 7 });
       thing.handle = this.grips.handle(thing.name, drag(thing));
-      this.overlay.append(thing.lag, thing.target);
+      this.overlay.append(thing.lag, thing.target, thing.pressed);
     }
     this.tools = this.things.filter(({ tool }) => tool);
     this.axes = AXES.map((axis, i) => ({ along: this.world.axes[i], line: svg("line", { class: "axis" }), label: svg("text", { class: "dim" }, axis) }));
     this.scaleText = svg("text", { class: "dim" });
+    this.arcText = svg("text", { class: "dim" });
     const labels = [...this.things.map(({ label }) => label), ...this.axes.map(({ label }) => label)];
-    this.overlay.append(...this.axes.map(({ line }) => line), ...labels, this.scaleText, ...this.tools.map(({ handle }) => handle));
+    this.overlay.append(...this.axes.map(({ line }) => line), ...labels, this.scaleText, this.arcText, ...this.tools.map(({ handle }) => handle));
     this.labels = new Labels(labels);
   }
 
@@ -116,6 +136,7 @@ export class Space {
     if (now - this.looked < LOOK) return;
     this.looked = now;
     this.mostForce = fitted(this.mostForce, Math.max(LEAST_FORCE, this.session.greatest(["force"])));
+    if (this.hands.length) this.mostTorque = fitted(this.mostTorque, Math.max(LEAST_TORQUE, this.session.greatest(["torque"], null)));
   }
 
   /** Whether the camera has moved since the latest picture. */
@@ -126,7 +147,7 @@ export class Space {
   draw() {
     if (this.orbit.width <= 1) return;
     for (const thing of this.things) this.locate(thing);
-    const picture = `${this.session.head} ${this.mostForce} ${this.orbit.moves}`;
+    const picture = `${this.session.head} ${this.mostForce} ${this.mostTorque} ${this.orbit.moves}`;
     if (picture !== this.drawn) {
       this.drawn = picture;
       this.drawSolids();
@@ -142,7 +163,9 @@ export class Space {
       thing.moved[port] = Number.isNaN(value) ? 0 : value - (thing.from?.[port] ?? 0);
     });
     Object.assign(thing, this.world.pose(thing, thing.moved));
-    if (thing.tool) thing.device = this.world.pose(thing, this.grips.position(thing.name)).place;
+    if (!thing.tool) return;
+    const device = this.world.pose(thing, this.grips.position(thing.name), "orientation");
+    Object.assign(thing, { device: device.place, deviceTurn: device.turn });
   }
 
   drawSolids() {
@@ -151,6 +174,7 @@ export class Space {
       if (thing.turn) thing.mesh.quaternion.set(thing.turn[1], thing.turn[2], thing.turn[3], thing.turn[0]);
       thing.shade.put(thing.place);
       if (thing.tool) this.drawForce(thing);
+      if (thing.pivot) this.drawTurn(thing);
     }
     for (const { ends, spring } of this.springs) spring.put(ends[0].place, ends[1].place);
     this.marks.put(this.world.contacts());
@@ -168,14 +192,25 @@ export class Space {
     arrow.put(at.map((x, i) => x + (size ? (drawnRadius * force[i]) / size : 0)), along);
   }
 
+  /** A device that a hand turns, and the torque on the hand: half a turn for the greatest. */
+  drawTurn({ name, device, deviceTurn: [w, x, y, z], centre, ghost, arc }) {
+    ghost.position.fromArray(device);
+    ghost.quaternion.set(x, y, z, w);
+    const torque = this.world.vector(AXES.map((_, axis) => this.session.known(`${name}/torque`, axis)));
+    const size = Math.hypot(...torque);
+    arc.put(centre, torque, HALF_TURN * Math.min(1.2, size / (this.mostTorque || size || 1)));
+  }
+
   drawOverlay() {
     const { orbit } = this;
     const seen = this.things.map((thing) => orbit.project(thing.place));
     const rings = this.tools.map((thing) => this.drawDevice(thing, orbit.project(thing.device)));
     say(this.scaleText, `a side of the grid: ${quantity(this.around.step, "m")}, or ${quantity(this.mostForce / 2, "N")}`);
     place(this.scaleText, { x: 10, y: orbit.height - 10 });
+    if (this.hands.length) say(this.arcText, `a quarter turn of an arc: ${quantity(this.mostTorque / 2, "N·m")}`);
+    place(this.arcText, { x: 10, y: orbit.height - 26 });
     const boxes = this.things.map((thing, i) => seen[i] && boxAround(seen[i], CORE * seen[i].pixels * thing.drawnRadius));
-    const taken = [[0, orbit.height - 26, 260, orbit.height], buttons(orbit.width), ...rings.filter((box) => box)];
+    const taken = [[0, orbit.height - this.foot, 260, orbit.height], buttons(orbit.width), ...rings.filter((box) => box)];
     this.labels.begin(orbit.width, orbit.height, taken, boxes, this.lines());
     this.things.forEach((thing, i) => {
       const far = seen[i] && Math.max(thing.tool ? RING : 0, seen[i].pixels * thing.drawnRadius) + 3;
@@ -189,8 +224,16 @@ export class Space {
   lines() {
     const pairs = this.tools.flatMap((thing) => [[thing.device, thing.place, 2], [...thing.arrow.ends, 7]]);
     for (const { ends } of this.springs) pairs.push([ends[0].place, ends[1].place, 6]);
-    const seen = pairs.map(([from, to, aside]) => [this.orbit.project(from), this.orbit.project(to), aside]);
-    return [...seen.filter(([from, to]) => from && to), ...this.axes.map((_, axis) => [...this.axis(axis), 1])];
+    for (const thing of this.hands) {
+      for (const [at, turn] of [[thing.place, thing.turn], [thing.device, thing.deviceTurn]]) {
+        RODS.forEach((part, axis) => pairs.push([at, sum(at, [turned(turn, UNITS[axis])], [part * ROD * thing.drawnRadius]), 1, THIN * this.around.radius]));
+      }
+      const places = thing.arc.along(ARC_PLACES);
+      places.slice(1).forEach((to, i) => pairs.push([places[i], to, 1, 2.4 * THICK * this.around.radius]));
+    }
+    const seen = pairs.map(([from, to, aside, thick = 0]) => [this.orbit.project(from), this.orbit.project(to), aside, thick]);
+    const whole = seen.filter(([from, to]) => from && to);
+    return [...whole.map(([from, to, aside, thick]) => [from, to, aside + thick * Math.max(from.pixels, to.pixels)]), ...this.axes.map((_, axis) => [...this.axis(axis), 1])];
   }
 
   /** The ring of a device, how far its tool is from it, and where a person wants it; returns the ring's box. */
@@ -198,9 +241,14 @@ export class Space {
     const tool = here && this.orbit.project(thing.place);
     this.grips.show(thing.handle, thing.name, this.around.radius);
     thing.handle.style.display = thing.lag.style.display = tool ? "" : "none";
-    if (!tool) return null;
+    if (!tool) {
+      showPressed(thing.pressed, [], here);
+      return null;
+    }
+    if (thing.pivot) place(thing.handle, { "data-turn": thing.deviceTurn.join(" ") });
     thing.handle.setAttribute("transform", `translate(${here.x.toFixed(1)} ${here.y.toFixed(1)})`);
     place(thing.lag, { x1: here.x, y1: here.y, x2: tool.x, y2: tool.y });
+    showPressed(thing.pressed, this.session.pressed(thing.name), tool);
     const wanted = this.grips.held.get(thing.name);
     const to = wanted && this.orbit.project(this.wantedPlace(thing, wanted));
     thing.target.setAttribute("d", to ? `M${to.x - 9} ${to.y}h18M${to.x} ${to.y - 9}v18` : "");
@@ -223,7 +271,7 @@ export class Space {
   /** Where the line of an axis begins and ends in the picture. */
   axis(axis) {
     const { right, up, height: high } = this.orbit;
-    const from = { x: 42, y: high - 62 };
+    const from = { x: 42, y: high - this.foot - 36 };
     const { along } = this.axes[axis];
     return [from, { x: from.x + TRIAD * dot(right, along), y: from.y - TRIAD * dot(up, along) }];
   }
@@ -250,7 +298,7 @@ export class Space {
   /** What the signs mean. */
   legend() {
     return (
-      "Ring: device (x). Blue: its tool in the world (x_e), pale where it is behind something. Dashed: the difference that its coupling permits. Yellow: bodies. Grey: what stands still. Arrow: the force on the hand (f). " +
+      "Ring: device (x). Blue: its tool in the world (x_e), pale where it is behind something. Dashed: the difference that its coupling permits. Yellow: bodies. Grey: what stands still. Arrow: the force on the hand (f). Violet circle at a tool: a button is pressed. " +
       this.world.remark() +
       "Drag the background to turn the view, with Shift to move it; two fingers, or the wheel after a click, zoom; or focus it and press arrow keys, + and −. Home shows the first view."
     );
@@ -289,6 +337,10 @@ class Scene {
   /** The place of a thing whose axes have these displacements; nothing turns. */
   pose({ at, along }, values) {
     return { place: sum(at, along, values), pointing: along };
+  }
+
+  inModel(v) {
+    return v;
   }
 
   contacts() {

@@ -1,6 +1,6 @@
 /** The moving virtual world in its plane: tools, masses and springs, and the devices that move the tools through their couplings. */
 
-import { buttons, height, place, say, svg } from "./elements.js";
+import { buttons, height, place, say, showPressed, svg } from "./elements.js";
 import { axisOf, fitted, quantity, unitsOf } from "./format.js";
 import { Labels } from "./labels.js";
 import { layout } from "./layout.js";
@@ -15,6 +15,7 @@ const FOOT = 58; // px below the rows, for the scales
 const COIL = 7; // px, half the width of a spring
 const TURN = 26; // px of one turn of a spring where its ends are at rest
 const ARROW = 60; // px, length of the arrow for the greatest force
+const PLANE = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]; // to the right, upwards and towards the eye
 const LOOK = 500; // ms between two updates of the scale
 
 export class World {
@@ -69,15 +70,20 @@ export class World {
     const lag = svg("line", { class: "lag" });
     const tool = svg("rect", { class: "tool", width: 14, height: 14, rx: 2, "data-tool": body.name });
     const target = svg("path", { class: "target" });
+    const pressed = svg("circle", { class: "pressed", r: 9 });
     const force = svg("path", { class: "force" });
     const head = svg("path", { class: "force-head" });
     const label = svg("text", {}, body.name);
     const shown = body.ports.slice(0, 2);
     const axes = shown.map((port) => svg("text", { class: "dim" }, axisOf(port, this.session.turns(port))));
     const upright = svg("path", { class: "axis" });
-    const handle = this.grips.handle(body.name, { start: (event, x) => this.drag(event, x, body.ports), most: () => this.most[this.session.turns(body.ports[0])] });
-    this.drawing.append(upright, ...axes, lag, tool, target, force, head, label, handle);
-    return { id, body, lag, tool, target, force, head, label, axes, upright, handle };
+    const handle = this.grips.handle(body.name, {
+      start: (event, x) => this.drag(event, x, body.ports),
+      most: () => this.most[this.session.turns(body.ports[0])],
+      axes: () => PLANE,
+    });
+    this.drawing.append(upright, ...axes, lag, tool, pressed, target, force, head, label, handle);
+    return { id, body, lag, tool, pressed, target, force, head, label, axes, upright, handle };
   }
 
   /** Where a device that is at x shall be while the pointer is dragged from where it is. */
@@ -224,7 +230,7 @@ export class World {
     box.setAttribute("data-at", body.axes.map(({ index }) => this.session.now("environment/masses", index)).join(" "));
   }
 
-  draw_tool({ body, lag, tool, target, force, head, upright, handle }, at) {
+  draw_tool({ body, lag, tool, pressed, target, force, head, upright, handle }, at) {
     const spot = this.spots.get(`tool ${body.name}`);
     const lift = body.planar ? 0 : this.lift;
     const on = (position) => {
@@ -235,6 +241,7 @@ export class World {
     const forces = body.ports.map((_, axis) => this.session.known(`${body.name}/force`, axis));
     place(tool, { x: at.x - 7, y: at.y - 7, "data-at": body.ports.map((port) => this.tool_of(port)).join(" ") });
     place(lag, { x1: here.x, y1: here.y, x2: at.x, y2: at.y });
+    showPressed(pressed, this.session.pressed(body.name), at);
     this.lines.push([here, at, 2]);
     this.taken.push(around(here, 12, 12), around(at, 8, 8));
     const arrow = this.arrow(force, head, here, forces.map((f, axis) => f / (this.mostForce[this.session.turns(body.ports[axis])] || 1)));
@@ -263,7 +270,7 @@ export class World {
   legend() {
     const { springs, environment } = this.session.about;
     const inside = springs.length ? "zigzags are its springs, boxes its masses" : `inside, it is of the kind ${environment}`;
-    return `Ring: device (x). Square: its tool in the world (x_e). Dashed: the difference that its coupling permits. Arrow: the force it exerts on the hand (f), whose scale is below; a third axis is in the list alone. The world: ${inside}.`;
+    return `Ring: device (x). Square: its tool in the world (x_e). Dashed: the difference that its coupling permits. Arrow: the force it exerts on the hand (f), whose scale is below; a third axis is in the list alone${this.session.about.hands.length ? ", and so are turns and torques" : ""}. Violet circle: a button is pressed. The world: ${inside}.`;
   }
 
   /** Draw a force, in parts of the greatest; returns its line, or null where it is too small to be seen. */

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from manyhands.design.models.axis import TRANSLATING
+from manyhands.launch.app.cli.check import _agreed
 from manyhands.launch.conformance.driver import Bench, SuiteStopped, check_driver, checked_apart
 from manyhands.launch.conformance.judgement import Judgement
 from manyhands.nodes.device.plugin import PluginDriver
@@ -45,6 +47,23 @@ def test_times_that_a_driver_measures_at_each_start_have_room_for_the_next_one(t
     assert "sample_age: 0.0009, actuation_delay: 0.00045, step: " in last, done.output
     assert "its period is at least 0.00135 s, the age and delay together; its times are those of one start" in last
     assert "age_jitter" not in last
+
+
+@pytest.mark.parametrize(
+    ("given", "key"),
+    [("{}", "orientation: {limits: {torque: 0.2, speed: 60}}"), ("{sensed: true}", "orientation: {sensed: true}"),
+     ("{holds: tool}", "orientation: {sensed: true}")],
+)  # fmt: skip
+def test_the_keys_of_a_device_that_turns_in_space_are_told(given: str, key: str) -> None:
+    own = ("tests.support.turning_drivers:Pen", "--dof", 3, "--parameters", given, "--no-push")
+    done = manyhands_command("check-driver", *own)
+    assert f", {key}" in done.stdout.splitlines()[-1], done.output
+
+
+def test_a_torque_is_asked_about_beside_a_force(capsys: pytest.CaptureFixture[str]) -> None:
+    assert not _agreed(0.5, 0.01, TRANSLATING, 0.005)  # nobody is at a terminal
+    found = " ".join(capsys.readouterr().err.split())
+    assert "0.5 N, up to 10 mm at a time, and turns it with 0.005 N·m; nobody may hold it" in found
 
 
 @pytest.mark.alone  # likewise

@@ -28,7 +28,8 @@ from manyhands.launch.run.running import Running
 from manyhands.nodes.monitor.given import FIGURES
 from manyhands.nodes.monitor.tracks import BUCKETS
 from manyhands.protocol.clock import Instant, RealtimeClock
-from manyhands.protocol.messages import Figures, Grasp, Release
+from manyhands.protocol.codec import encode
+from manyhands.protocol.messages import Figures, Grasp, Observation, Release
 from manyhands.protocol.transport.broadcast import Broadcast
 from manyhands.protocol.transport.pointer import PointerInlet
 
@@ -90,6 +91,18 @@ def test_a_picture_says_what_a_hand_was_given() -> None:
     feed = fed(conditioned(), moving(100), observed("left", 100, {}, **figures))
     told = picture(feed, Cursor())["nodes"]["left"]
     assert told["given"] == "97/40"
+
+
+def test_a_picture_says_which_buttons_are_pressed() -> None:
+    """Those that are held down, and those that were since the telemetry before."""
+    feed, cursor = fed(moving(100)), Cursor()
+    assert picture(feed, cursor)["nodes"]["left"]["pressed"] == []
+    down = {"buttons_down": {"left.grip": 1.0, "left.menu": 0.0, "left.tip": 0.0}}
+    events = {"pressed:left.grip@103": 1.0, "pressed:left.menu@110": 1.0, "pressed:left.tip@120": 0.0}
+    feed.take(encode(Observation("left", 200, Figures(events, down), {})), NOW)
+    assert picture(feed, cursor)["nodes"]["left"]["pressed"] == ["grip", "menu"]
+    feed.take(encode(Observation("left", 300, Figures({}, down), {})), NOW)
+    assert picture(feed, cursor)["nodes"]["left"]["pressed"] == ["grip"]
 
 
 def test_a_slow_page_receives_what_is_kept_and_no_more() -> None:

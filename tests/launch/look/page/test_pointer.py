@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -23,6 +25,7 @@ from manyhands.launch.look.page.pointer import (
     demand_of,
     token_of,
 )
+from manyhands.nodes.kernel.orientation import Quaternion
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.messages import Grasp, Release
 from manyhands.protocol.transport.pointer import PointerInlet
@@ -40,6 +43,31 @@ def test_a_grasp_and_a_release() -> None:
 
 def test_a_position_ends_at_the_reach() -> None:
     assert demand_of('{"grasp": "right", "position": [7, -7]}', ABOUT) == Hold("right", (0.1, -0.05))
+
+
+TURNED = replace(ABOUT, hands=("right",))
+
+
+def test_a_device_with_an_orientation_is_turned() -> None:
+    def said(turn: object) -> Hold | LetGo | Wrong:
+        return demand_of(json.dumps({"grasp": "right", "position": [0.01, 0.02], "turn": turn}), TURNED)
+
+    found = said([0.6, 0, 0.8, 0])
+    assert isinstance(found, Hold)
+    assert (found.position, found.turn) == (HERE.position, (0.6, 0.0, 0.8, 0.0))
+    nearly = said([0.6 + 1e-7, 0.0, 0.8, 0.0])  # as the digits of a page may have it
+    assert isinstance(nearly, Hold)
+    assert nearly.turn is not None
+    assert math.hypot(*nearly.turn) == pytest.approx(1.0, abs=1e-15)
+    assert said(None) == HERE
+    for wrong in ([0.6, 0.0, 0.8], [0.6, 0, 0.9, 0], [0, 0, 0, 0], ["1", 0, 0, 0], [True, 0, 0, 0], {"w": 1}, "up", 1.0,
+                  [math.nan, 0, 0, 1], [1e999, 0, 0, 0], [10**400, 0, 0, 0], [1, 0, 0, 0, 0]):  # fmt: skip
+        answer = said(wrong)
+        assert isinstance(answer, Wrong), wrong
+        assert "expected a unit quaternion" in answer.why
+    answer = demand_of('{"grasp": "right", "position": [0.01, 0.02], "turn": [1, 0, 0, 0]}', ABOUT)
+    assert isinstance(answer, Wrong)
+    assert "its orientation is no port" in answer.why
 
 
 @pytest.mark.parametrize(
@@ -72,12 +100,13 @@ JSON = st.recursive(
     max_leaves=8,
 )
 NEARLY = st.fixed_dictionaries({"grasp": st.just("right"), "position": JSON}) | JSON
+TURN = st.fixed_dictionaries({"grasp": st.just("right"), "position": st.just([0.0, 0.0]), "turn": JSON})
 
 
-@settings(max_examples=40)
-@given(NEARLY.map(json.dumps) | st.text(max_size=200))
+@settings(max_examples=60)
+@given((NEARLY | TURN).map(json.dumps) | st.text(max_size=200))
 def test_no_message_of_a_page_raises(text: str) -> None:
-    answer = demand_of(text, ABOUT)
+    answer = demand_of(text, TURNED)
     assert isinstance(answer, Hold | LetGo | Wrong)
     if isinstance(answer, Hold):
         limits = (0.1, 0.05)
@@ -111,6 +140,13 @@ def holding(tmp_path: Path, inlet: PointerInlet) -> Iterator[Holding]:
     holding = Holding(tmp_path, ABOUT)
     yield holding
     holding.close()
+
+
+def test_where_a_device_is_turned_stands_behind_its_position(holding: Holding, inlet: PointerInlet) -> None:
+    assert holding.hold(1, replace(HERE, turn=Quaternion(0.6, 0.0, 0.8, 0.0)), NOW) is None
+    held = inlet.latest()
+    assert isinstance(held, Grasp)
+    assert held.position.tolist() == [0.01, 0.02, 0.6, 0.0, 0.8, 0.0]
 
 
 def test_a_device_is_held_and_let_go(holding: Holding, inlet: PointerInlet) -> None:
