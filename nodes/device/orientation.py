@@ -45,6 +45,7 @@ from manyhands.nodes.kernel.orientation import (
     Quaternion,
     Vector3,
     angle,
+    energy,
     total,
     turned_by,
     unit,
@@ -371,11 +372,15 @@ class DeviceOrientation:
                 if ended >= h:  # or do so just now
                     spring.charge(self._limit * self._speed * seconds(self._slack))
                 spring.lose(self.R)
-        elif late or self._owes:  # without a torque nothing was stored, and what was burnt pays for nothing else
+        elif self._owes:  # without a torque nothing was stored, and what was burnt pays for nothing else
             spring.lose(self.R)
             spring.pay(burnt)
-        else:  # what the spring may have stored is paid for by what was burnt as well
-            spring.pay(burnt - 0.5 * self._k * far * far)
+        else:  # it pays for what the spring has stored since, as the account counts it
+            unpaid = energy(self._k, self.R, spring.proxy) - burnt
+            if unpaid > 0.0:  # as in a late tick alone
+                spring.charge(unpaid)
+            else:
+                spring.pay(-unpaid)
         if spring.owed and self._allowance is not None:
             spring.pay(self._allowance.power * seconds(h))
 

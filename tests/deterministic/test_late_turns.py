@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from manyhands.nodes.device.orientation import DeviceOrientation
@@ -40,11 +42,11 @@ def test_a_late_tick_that_is_credited_without_a_torque_is_found(monkeypatch: pyt
     """The proxy rests while a process stands still: the spring to it has stored nothing."""
     judge = DeviceOrientation._judge
 
-    def credited(of: DeviceOrientation, far: float, h: int, d: int) -> None:
-        proxy = of.spring.proxy
-        judge(of, far, h, d)  # type: ignore[arg-type]
+    def credited(of: DeviceOrientation, *tick: Any) -> None:
+        proxy, owed = of.spring.proxy, of.spring.owed
+        judge(of, *tick)
         if not any(of.torque) and not any(of._before):
-            of.spring.proxy = proxy
+            of.spring.proxy, of.spring.owed = proxy, min(of.spring.owed, owed)
 
     monkeypatch.setattr(DeviceOrientation, "_judge", credited)
     prepared = prepared_session(17)

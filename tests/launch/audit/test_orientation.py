@@ -21,6 +21,7 @@ from manyhands.launch.session import Session
 from manyhands.nodes.device.drivers import driver_of
 from manyhands.nodes.device.orientation import DeviceOrientation
 from manyhands.nodes.device.tick import tick_of
+from manyhands.nodes.kernel.allowance import LatenessAllowance
 from manyhands.nodes.kernel.bundle import (
     REALTIME,
     DeviceBundle,
@@ -342,13 +343,15 @@ def test_a_torque_that_ended_before_the_next_sample_leaves_nothing_stored_there_
 
 
 @pytest.mark.parametrize(("acted", "follows"), [(0.0, True), (1.0, False)])
-def test_a_spring_begins_anew_after_a_late_tick_without_a_torque_alone(acted: float, follows: bool) -> None:
+def test_a_spring_that_lets_go_begins_anew_after_a_tick_without_a_torque_alone(acted: float, follows: bool) -> None:
     """What seemed to be stored in that tick may not be credited, so a row without that credit follows, too."""
     k, period = 0.5, from_seconds(1e-3)
     part = OrientationPart(1e-3, k, 0.4, 100.0, TurnedHand(1e-6, 1e-3, (0.02, 0.0, 0.0)))
-    of = DeviceOrientation(part, 1e-3, DeviceRung(0.0, 0.0, DeviceShare()), longest=Duration(6 * period))
+    tank = LatenessAllowance(1e-6)
+    of = DeviceOrientation(part, 1e-3, DeviceRung(0.0, 0.0, DeviceShare()), tank, Duration(6 * period))
     of.sample(0, Instant(0))
     of.exert(NO_RIDER, Instant(0))
+    of.spring.charge(1.0)  # more than lateness may put in
     _, Q, u, _, account = of.row()
     assert not any(u)
     before = np.array([*Q, *account[:5]])
