@@ -230,7 +230,7 @@ class RosMessages:
         """
         self._recorded, self._session, self._every = recorded_of(about), LiveSession(about), every
         self._time, self.unfit = SessionTime(self._recorded), 0
-        self._devices = device_topics(about.session, self._recorded.devices, about.turning, about.hands)
+        self._devices = device_topics(about.session, self._recorded.devices, about.turning, about.hands, about.sensed)
         parts = (part for parts in self._devices.values() for part in parts)
         live = ((one.motion, one.exerted, one.sent) for one in parts)  # a bag alone has velocities
         self.topics = [topic for topics in live for topic in topics if topic is not None]
@@ -281,7 +281,9 @@ class RosMessages:
             moved, exerted = (None if kept is None else part.of(kept[1]) for kept in (x, f))
             if part.motion.oriented:
                 R, torque = (self._kept(observation, name, w) for name, w in _OF_TURNS)
-                moved, exerted = self._joined(moved, R), self._joined(exerted, torque)
+                moved = self._joined(moved, R)
+                if part.exerted is not None and part.exerted.oriented:
+                    exerted = self._joined(exerted, torque)
             if x is not None and moved is not None and wanted(part.motion):
                 yield from self._messages(part.motion, x[0], motion_rows(part.motion, moved, None, exerted))
             if f is not None and exerted is not None and part.exerted is not None and wanted(part.exerted):

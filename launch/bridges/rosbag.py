@@ -107,7 +107,11 @@ class AxesTopics(NamedTuple):
 
 
 def device_topics(
-    session: str, devices: Mapping[str, tuple[str, ...]], turning: Collection[str] = (), hands: Collection[str] = ()
+    session: str,
+    devices: Mapping[str, tuple[str, ...]],
+    turning: Collection[str] = (),
+    hands: Collection[str] = (),
+    sensed: Collection[str] = (),
 ) -> dict[str, tuple[AxesTopics, ...]]:
     """The topics of the devices of a session, by device: of all its axes, and then of some.
 
@@ -116,6 +120,7 @@ def device_topics(
         devices: names of the axes of each device.
         turning: the axes that turn.
         hands: the devices whose orientation is a port.
+        sensed: those of them on which no torque acts.
 
     Raises:
         RecordingError: two devices, or two axes of one, would have one namespace.
@@ -136,7 +141,9 @@ def device_topics(
         space = space_of("devices", device, f"/{ros_name(session)}/{ros_name(device)}")
         turn = [place for place, axis in enumerate(axes) if axis in turning]
         straight = [place for place in range(len(axes)) if place not in turn]
-        found = [_topics_of(space, device, axes, range(len(axes)), turn, oriented=device in hands)]
+        found = [
+            _topics_of(space, device, axes, range(len(axes)), turn, oriented=device in hands, felt=device not in sensed)
+        ]
         if turn and len(axes) > 1:
             found += [_topics_of(space, device, axes, straight)] if len(straight) == CARTESIAN else []
             for place in turn:
@@ -155,10 +162,12 @@ def _topics_of(
     turn: Sequence[int] = (),
     joint: bool = False,
     oriented: bool = False,
+    felt: bool = True,
 ) -> AxesTopics:
     """The topics in a namespace of the axes at ``places``; ``joint`` where efforts say what they exert and are sent.
 
-    ``oriented`` where the device has an orientation besides; it has the three coordinates of a pose then.
+    ``oriented`` where the device has an orientation besides; it has the three coordinates of a pose then. ``felt``
+    where a torque belongs to it.
     """
     point = len(places) == CARTESIAN and not turn
     wrench = len(places) <= CARTESIAN and not joint
@@ -175,7 +184,7 @@ def _topics_of(
         tuple(places),
         topic(*motion, turns),
         topic("measured_cv", TWIST, turns) if point else None,
-        topic("measured_cf", WRENCH, turns) if wrench else None,
+        topic("measured_cf", WRENCH, turns and felt) if wrench else None,
         topic(*sent),
     )
 
@@ -231,7 +240,7 @@ def streams_of(run: RecordedRun, traces: Traces) -> list[Stream]:
         RecordingError: two devices would have one namespace, or no trace is a device's motion or force.
     """
     recorded, out = run.recorded, []
-    topics = device_topics(recorded.session, recorded.devices, recorded.turning, recorded.hands)
+    topics = device_topics(recorded.session, recorded.devices, recorded.turning, recorded.hands, recorded.sensed)
     for device, parts in topics.items():
         whole = {name: _trace_of(traces, device, name) for name in (DISPLACEMENT, FORCE)}
         speed = None if whole[DISPLACEMENT] is None else run.velocity_of(device)
@@ -244,7 +253,8 @@ def streams_of(run: RecordedRun, traces: Traces) -> list[Stream]:
             )
             if part.motion.oriented:
                 R, torque = (_trace_of(traces, device, name) for name in (ORIENTATION, TORQUE))
-                x, f = joined(x, R), joined(f, torque)
+                x = joined(x, R)
+                f = joined(f, torque) if part.exerted is not None and part.exerted.oriented else f
                 v = joined(v, None if R is None else run.angular_velocity_of(device))
             found = [
                 (part.motion, None if x is None else motion_rows(part.motion, x, v, f)),

@@ -1,9 +1,9 @@
 """The last seconds of every trace of a session, decimated, in bounded memory: pure.
 
-Every trace of the table of topics is a track, except for those that nobody draws: the instants of ticks, and what the
-world and a hand that turns tell each other for the audit. So is each device's velocity: the
-difference of its displacement from sample to sample, taken before decimation; and so is the angle between a device and
-its tool, where a hand turns that.
+Every trace of the table of topics is a track, except for those that nobody draws: the instants of ticks, and what a
+hand that turns and its world hear of each other, for the audit. So is each device's velocity: the difference of its
+displacement from sample to sample, taken before decimation; and so is the angle between a device and its tool, where a
+hand turns that and feels a torque.
 
 A bucket is a run of ticks of fixed length, counted from tick 0, so that the buckets of all nodes of one period are
 aligned. Of each bucket two values are kept, its least and its greatest, in the order of time. A curve through them
@@ -125,7 +125,7 @@ VELOCITY: Final = Topic("velocity", "v", "v", "m/s", Columns.PORTS)
 ANGLE: Final = Topic("angle", "angle", "θ", "rad", Columns.ONE, hands=True)
 """A topic that no node reports: the angle of the turn between a device's orientation and its proxy's."""
 
-_UNDRAWN: Final = (Columns.INSTANTS, Columns.PROPOSED, Columns.HEARD, Columns.TOLD)
+_UNDRAWN: Final = (Columns.INSTANTS, Columns.PROPOSED, Columns.HEARD)
 
 
 class Track:

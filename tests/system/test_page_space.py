@@ -482,6 +482,25 @@ def test_the_arc_of_a_torque_turns_right_handed_about_its_axis(pen: ShownPage) -
 
 
 @pytest.fixture(scope="module")
+def sensing(browser: Browser) -> Iterator[ShownPage]:
+    """The same stick in a hand that senses alone."""
+    played = Played(replace(described(), sensed=("pen",)))
+    played.stand(0.0, {}, {"x": AT[:3], "x_e": AT[:3], **as_told(R, Q, TORQUE)})
+    yield from closing(ShownPage(browser, played.feed, 1280, "light"))
+
+
+def test_a_tool_whose_hand_senses_alone_is_drawn_as_it_was_told_and_without_a_torque(sensing: ShownPage) -> None:
+    page = sensing.page
+    until(page, SPACE, "data-camera", has=" ")
+    until(page, '[data-tool="pen"]', "data-at", has="0.01")
+    upright = (0.5**0.5, -(0.5**0.5), 0.0, 0.0)
+    assert turn_of(page, '[data-tool="pen"]') == pytest.approx(hamilton(upright, Q))
+    assert turn_of(page, PEN) == pytest.approx(hamilton(upright, R))
+    assert "turned" not in page.locator('[data-force-of="pen"]').inner_text()
+    assert not page.locator(".space text", has_text="a quarter turn").count()
+
+
+@pytest.fixture(scope="module")
 def turnable(browser: Browser) -> Iterator[ShownPage]:
     """A stick that this page may turn, and that is turned already."""
     played = Played(replace(described(), grips=("pen",)))

@@ -166,6 +166,16 @@ def test_what_a_hand_turns_is_sent_as_a_bag_has_it(tmp_path: Path) -> None:
     assert (wrench.torque.x, wrench.torque.y, wrench.torque.z) != (0.0, 0.0, 0.0)
 
 
+def test_of_a_hand_that_senses_alone_the_wrench_has_no_torque_and_the_pose_its_turn() -> None:
+    about = replace(TURNED, sensed=("pen",))
+    sent = made(BEGUN, turning(), about=about)
+    assert len(sent) == 2 * TICKS
+    last = {one.topic.name.rpartition("/")[2]: TYPES.deserialize_cdr(one.data, one.topic.type) for one in sent}
+    torque, q = last["measured_cf"].wrench.torque, last["measured_cp"].pose.orientation
+    assert (torque.x, torque.y, torque.z) == (0.0, 0.0, 0.0)
+    assert (q.x, q.y, q.z, q.w) != (0.0, 0.0, 0.0, 1.0)
+
+
 def test_turns_that_do_not_fit_the_ticks_are_counted_and_those_that_are_missing_not_sent() -> None:
     for others, topic, unfit in (
         ({"R": np.zeros((TICKS, 3))}, "measured_cf", 1),

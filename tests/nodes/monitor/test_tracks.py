@@ -132,7 +132,10 @@ def test_the_angle_between_a_device_and_its_tool_is_that_of_the_turn() -> None:
 
 def test_of_a_hand_that_turns_what_is_drawn_has_tracks() -> None:
     names = {key.name for key in Tracks(TURNED).columns} - {key.name for key in Tracks(ABOUT).columns}
-    assert names == {f"left/{topic}" for topic in ("orientation", "proxy", "torque", "account", "angle")}
+    told = "environment/told"
+    assert names == {told, *(f"left/{topic}" for topic in ("orientation", "proxy", "torque", "account", "angle"))}
+    names = {key.name for key in Tracks(replace(TURNED, sensed=("left",))).columns}
+    assert names - {key.name for key in Tracks(ABOUT).columns} == {told, "left/orientation"}
 
 
 def test_a_trace_of_another_shape_is_counted_and_left_out() -> None:

@@ -88,9 +88,11 @@ export class Engine {
     return found ? this.drawn(times(found, inverse(start))) : STILL;
   }
 
-  /** How far a hand's device has turned, or its tool, as its trace says. */
+  /** How far a hand's device has turned, or its tool, as its trace says; that of a device that is sensed alone has no proxy. */
   byHand(device, topic) {
-    const found = unitOf(QUATERNION.map((_, part) => this.session.known(`${device}/${topic}`, part)));
+    const told = topic === "proxy" && !this.session.feelsTurns(device);
+    const [key, parts] = told ? ["environment/told", this.session.columns("environment/told", QUATERNION.map((part) => `${device}.${part}`))] : [`${device}/${topic}`, [0, 1, 2, 3]];
+    const found = unitOf(parts.map((part) => this.session.known(key, part)));
     return found ? this.drawn(found) : STILL;
   }
 

@@ -21,7 +21,7 @@ export class Forces {
         return `${axisOf(ports[axis], turns)} ${quantity(f, unitsOf(turns)[1])}`;
       });
       const parts = [`${device}: f ${told.join(", ")}`];
-      if (this.session.turnsInSpace(device)) parts.push(...this.turn(device, item));
+      if (this.session.feelsTurns(device)) parts.push(...this.turn(device, item));
       const pressed = this.session.pressed(device);
       if (pressed.length) parts.push(`pressed: ${pressed.join(", ")}`);
       tell(item, parts.join("; "));

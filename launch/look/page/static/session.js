@@ -70,6 +70,17 @@ export class Session {
     return this.about.hands.includes(device);
   }
 
+  /** Whether a torque acts on such a hand: on one whose orientation is sensed alone none does. */
+  feelsTurns(device) {
+    return this.turnsInSpace(device) && !this.about.sensed.includes(device);
+  }
+
+  /** Where columns of a track are, by their names. */
+  columns(key, names) {
+    const track = this.tracks.get(key);
+    return names.map((name) => track?.columns.indexOf(name) ?? -1);
+  }
+
   /** Whether a port or a body turns: its place is an angle, and its force a torque. */
   turns(name) {
     return this.turning.has(name);

@@ -207,7 +207,7 @@ export class Space {
     const rings = this.tools.map((thing) => this.drawDevice(thing, orbit.project(thing.device)));
     say(this.scaleText, `a side of the grid: ${quantity(this.around.step, "m")}, or ${quantity(this.mostForce / 2, "N")}`);
     place(this.scaleText, { x: 10, y: orbit.height - 10 });
-    if (this.hands.length) say(this.arcText, `a quarter turn of an arc: ${quantity(this.mostTorque / 2, "N·m")}`);
+    if (this.hands.some(({ name }) => this.session.feelsTurns(name))) say(this.arcText, `a quarter turn of an arc: ${quantity(this.mostTorque / 2, "N·m")}`);
     place(this.arcText, { x: 10, y: orbit.height - 26 });
     const boxes = this.things.map((thing, i) => seen[i] && boxAround(seen[i], CORE * seen[i].pixels * thing.drawnRadius));
     const taken = [[0, orbit.height - this.foot, 260, orbit.height], buttons(orbit.width), ...rings.filter((box) => box)];
