@@ -27,7 +27,8 @@ def print_replayed(out: Console, name: str, found: Replayed) -> None:
     for device in found.given:
         say(
             out,
-            f"{device}: a person moved it, so its motion is taken from the recording and its ledger is not compared",
+            f"{device}: a person, or a driver of another package, moved it, so its motion is taken from the recording "
+            "and its ledger is not compared",
         )
     for deviation in found.deviations:
         first = deviation.first

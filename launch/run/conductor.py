@@ -460,7 +460,9 @@ class Conductor:
         return [ReleaseName(guest)]
 
     def _ended(self, node: str, how: str, now: int, said: str = "") -> list[Instruction]:
-        state = self.states[node]
+        state, carrier = self.states[node], self.graph.carriers.get(node)
+        if carrier is not None and node not in self.remote:  # the device's own end says what ended the process
+            how = f"ended with {carrier}, in whose process it ran,"
         if self.phase is SessionPhase.RUNNING:
             if state is NodeState.LEAVING:
                 return self._withstood(self._recovery.left(node, now))

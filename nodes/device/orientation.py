@@ -64,7 +64,7 @@ LONGEST_GAP: Final = from_seconds(10.0)
 _HAIR: Final = 1.0 + 1e-9  # of a speed, which is a quotient of rounded numbers
 
 
-class Body(Protocol):
+class Turnable(Protocol):
     """What a hand turns."""
 
     def to(self, at: Instant) -> Quaternion:
@@ -85,7 +85,7 @@ class Telling(Protocol):
 
 
 class DriverBody:
-    """A :class:`Body` that a driver of another package moves; its tick hands it torques and forces together."""
+    """A :class:`Turnable` that a driver of another package moves; its tick hands it torques and forces together."""
 
     def __init__(self, driver: Telling) -> None:
         """Ask ``driver`` at each sample, after it has told the displacement."""
@@ -217,7 +217,7 @@ class SensedOrientation:
         torque: none.
     """
 
-    def __init__(self, body: Body, T: float, wall: bool = False) -> None:
+    def __init__(self, body: Turnable, T: float, wall: bool = False) -> None:
         """Begin upright.
 
         Args:
@@ -278,7 +278,7 @@ class DeviceOrientation:
         rung: DeviceRung,
         allowance: LatenessAllowance | None = None,
         longest: Duration | None = None,
-        body: Body | None = None,
+        body: Turnable | None = None,
         timing: DeviceTiming = NO_DELAY,
     ) -> None:
         """Begin at rest, with the proxy at the device.

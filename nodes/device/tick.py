@@ -42,12 +42,12 @@ from manyhands.nodes.device.core import DeviceCore, Guard
 from manyhands.nodes.device.drivers import Driver
 from manyhands.nodes.device.interface import DeviceInterface, interface_of
 from manyhands.nodes.device.orientation import (
-    Body,
     DeviceOrientation,
     DriverBody,
     Oriented,
     SensedOrientation,
     Telling,
+    Turnable,
     TurnedBody,
 )
 from manyhands.nodes.device.plugin import PluginDriver
@@ -425,7 +425,7 @@ def _orientation_of(bundle: DeviceBundle, driver: Driver) -> Oriented | None:
     return DeviceOrientation(own, T, bundle.rungs[0], bundle.allowance, longest, body, bundle.timing)
 
 
-def _body_of(own: OrientationPart | SensedPart, bundle: DeviceBundle, driver: Driver) -> Body:
+def _body_of(own: OrientationPart | SensedPart, bundle: DeviceBundle, driver: Driver) -> Turnable:
     """What the hand turns: what the driver tells of, or a simulated body, which a person may turn."""
     source, T = own.source, bundle.common.period
     if source is None:

@@ -31,8 +31,8 @@ LEAST_FORCE: Final = 0.01
 """The mean force that must have been asked for before the share by force is judged, N: no hand feels less."""
 
 MEASURE: Final = (
-    "manyhands doctor SESSION measures what would help on this machine: other periods, or couplings in their devices' "
-    "processes"
+    "manyhands doctor, with the session's file, measures what would help on this machine: other periods, or where "
+    "couplings run"
 )
 """What is said of a machine that is too slow. Only a measurement can tell what would help it, and at what cost."""
 

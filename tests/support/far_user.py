@@ -176,11 +176,14 @@ def jittering(folder: Path, ticks: int, wire: Wire) -> Rows:
 
 def _carry(face: UserFace | WorldFace, way: Way, wire: Wire) -> None:
     """Put a way of a WAN before a face, which measures while it joins how late the messages are, as a node's does."""
-    hear, messages = face.hear, list[tuple[int, Sequence[float], float]]()  # the far user has no buttons
+    hear, messages = (
+        face.hear,
+        list[tuple[int, Sequence[float], float]](),
+    )  # the far user has no buttons, and turns nothing
     began = round(2.0 * (wire.delay + wire.jitter) / T)  # by then messages come
     settled = began + round(JOINING / T)
 
-    def put(n: int, U: Sequence[float], G: float, life: int = 0, buttons: int = 0) -> bool:
+    def put(n: int, U: Sequence[float], G: float, life: int = 0, buttons: int = 0, riders: object = ()) -> bool:
         now = len(messages)
         way.put(now.to_bytes(8, "big"), wire, now * T)
         messages.append((n, U, G))
@@ -198,7 +201,7 @@ def _delay(face: UserFace | WorldFace, ticks: int) -> None:
     """Put a line before a face: it hears each message so many ticks later."""
     hear, line = face.hear, deque[tuple[int, Sequence[float], float]]()
 
-    def put(n: int, U: Sequence[float], G: float, life: int = 0, buttons: int = 0) -> bool:
+    def put(n: int, U: Sequence[float], G: float, life: int = 0, buttons: int = 0, riders: object = ()) -> bool:
         line.append((n, U, G))
         return len(line) > ticks and hear(*line.popleft(), life)
 

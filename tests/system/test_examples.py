@@ -137,6 +137,7 @@ def test_no_example_is_left_out() -> None:
         "puck.py",
         "relief.py",
         "scenes.py",
+        "stretcher.py",
         "stroke.py",
         "tightness.py",
     }

@@ -39,6 +39,7 @@ from manyhands.launch.recordings.run import export as write
 from manyhands.launch.run.outcome import joules
 from manyhands.launch.run.processes import Interrupt
 from manyhands.nodes.kernel.driver_statement import outside
+from manyhands.nodes.kernel.factory import FactoryError
 from manyhands.nodes.kernel.words import counted
 from manyhands.protocol.channels import TOPICS
 from manyhands.protocol.clock import RealtimeClock
@@ -289,8 +290,13 @@ def replay(
             prepared = replace(prepared, session=prepared.session.with_code_in(code_in))
         warn_of_code(err, prepared.session, prepared.session.devices)  # what drivers did is in the file
         _warn_of_version(run)
-        with progress_bar(err, "running it again", run.ticks) as tell:
-            found = replayed(prepared, run, tell)
+        try:
+            with progress_bar(err, "running it again", run.ticks) as tell:
+                found = replayed(prepared, run, tell)
+        except FactoryError as error:
+            if code_in is None:
+                refuse(f"{error}; a module beside the session's file is found with --code-in DIR, that file's folder")
+            raise
         if as_json:
             print_json(found.as_plain() | {"file": str(file), "damage": [one.as_plain() for one in damage]})
         else:
@@ -353,7 +359,9 @@ _QUANTITIES = "sample, velocity, force, tool, reaction, tools, masses, ledger, t
 
 @commands.command(epilog="Example: manyhands plot run.mcap --show velocity,force --from 2 --until 3 -o steps.svg")
 def plot(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording: .mcap, or .npz or .csv of simulate.")],
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="A recording: .mcap, or a table: .csv, .npz or .parquet.")
+    ],
     output: Annotated[
         Path | None,
         typer.Option("-o", metavar="OUT", help="Write the plot here (.png, .svg or .pdf); by default beside FILE."),

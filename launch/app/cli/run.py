@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Annotated
@@ -88,10 +89,17 @@ def simulate(
         ticks = ticks_of(loaded, duration, kept=True)
         if record is not None:
             if record.suffix == STREAMED:
+                given = {"--certificate": certificate, "--delay": delay, "--jitter": jitter, "--loss": loss}
+                same = [
+                    *("manyhands", "launch", str(session), "--clock", "simulated"),
+                    *("--duration", f"{loaded.period * ticks:g}", "--record", str(record)),
+                    *(word for one in overrides for word in ("--set", one)),
+                    *(word for name, value in given.items() if value is not None for word in (name, str(value))),
+                    *(["--uncertified"] if uncertified else []),
+                ]
                 refuse(
                     f"--record: found {record}; expected one of {', '.join(SUFFIXES)}: {STREAMED} has the telemetry of "
-                    f"processes, which do the same ticks with: manyhands launch {session} --clock simulated "
-                    f"--duration {loaded.period * ticks:g} --record {record}"
+                    f"processes, which do the same ticks with: {shlex.join(same)}"
                 )
             require_suffix(record)
             claims.enter_context(claimed(record))

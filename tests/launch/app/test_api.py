@@ -303,7 +303,7 @@ def test_senseless_arguments_are_refused(call: Callable[[], Any], message: str) 
 
 
 def test_read_refuses_other_files(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match=r"expected one of \.csv, \.npz, \.mcap"):
+    with pytest.raises(RecordingError, match=r"expected one of \.csv, \.npz, \.parquet, \.mcap"):
         mh.read(tmp_path / "run.txt")
 
 

@@ -110,7 +110,7 @@ REFUSED = {
     "sensed without a stiffness": (_sensed("stiffness"), "by which the tool's avatar follows the hand"),
     "sensed without a damping": (_sensed("damping"), "damping, of the simulated device, in N·m·s/rad"),
     "simulated without an inertia": (_sensed("inertia"), "inertia, of the simulated device and its hand"),
-    "a recorded motion": (_with(driver="browser", hand=None), "nothing else turns in space"),
+    "a recorded motion": (_with(driver="trace", mass=None, hand=None), "nothing else turns in space"),
     "sensed by a number": (_sensed(sensed=1), "true or false"),
     "an unknown key": (slot({"stifness": 1.0}), "stiffness"),
 }  # fmt: skip

@@ -74,8 +74,8 @@ def row(promise: str, state: str, who: str, **cost: float) -> PromiseStatus:
 
 
 FASTER = (
-    "manyhands doctor SESSION measures what would help on this machine: other periods, or couplings in their devices' "
-    "processes."
+    "manyhands doctor, with the session's file, measures what would help on this machine: other periods, or where "
+    "couplings run."
 )
 
 

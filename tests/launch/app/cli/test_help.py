@@ -121,7 +121,7 @@ def test_the_example_has_no_option_or_argument_that_there_is_not(words: str) -> 
 
 
 FREE = {
-    *("S", "N", "M", "COUNT", "PORT", "N/m", "N·s/m", "HZ", "M/S", "1/M", "TIME", "PART"),  # numbers
+    *("S", "N", "M", "COUNT", "PORT", "N/m", "N·m", "N·s/m", "HZ", "M/S", "1/M", "TIME", "PART"),  # numbers
     *("HOST", "HOST:PORT", "HOST[:PORT]", "tcp://HOST:PORT", "COMMAND"),  # of the user's own network
     *("YAML", "N|NAMES", "NAME", "DRIVER", "MODEL", "PACKAGE.MODULE:FACTORY"),  # texts of the user's own
     *(
