@@ -179,7 +179,7 @@ def _carry(face: UserFace | WorldFace, way: Way, wire: Wire) -> None:
     hear, messages = (
         face.hear,
         list[tuple[int, Sequence[float], float]](),
-    )  # the far user has no buttons, and turns nothing
+    )  # no buttons, and nothing turns
     began = round(2.0 * (wire.delay + wire.jitter) / T)  # by then messages come
     settled = began + round(JOINING / T)
 
