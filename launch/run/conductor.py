@@ -244,6 +244,9 @@ class Conductor:
             said: the last line of its error output. A node that is to come back, and has no line to the supervisor
                 yet, says only there what its device lacks.
         """
+        carrier = self.graph.carriers.get(node)
+        if carrier is not None and code > 0:  # its device says what ended their process
+            return self._ended(node, f"ended with {carrier}, in whose process it ran,", now, said)
         return self._ended(node, ending(code), now, said)
 
     def started(self, node: str, pid: int) -> None:
@@ -460,9 +463,7 @@ class Conductor:
         return [ReleaseName(guest)]
 
     def _ended(self, node: str, how: str, now: int, said: str = "") -> list[Instruction]:
-        state, carrier = self.states[node], self.graph.carriers.get(node)
-        if carrier is not None and node not in self.remote:  # the device's own end says what ended the process
-            how = f"ended with {carrier}, in whose process it ran,"
+        state = self.states[node]
         if self.phase is SessionPhase.RUNNING:
             if state is NodeState.LEAVING:
                 return self._withstood(self._recovery.left(node, now))

@@ -247,6 +247,17 @@ class Test_offers:
             "at 0.0 s: cx ended with exit code 1 while running",
         )
 
+    def test_a_coupling_in_its_devices_process_is_not_said_to_have_failed(self) -> None:
+        apart = tuple(link for link in LINKS if link.connector != "dx")
+        graph = replace(GRAPH, links=apart, carriers={"cx": "dx"})
+        c = FakeSession(graph, Conductor(graph, CERTIFICATE, "s", TICKS, restarts=Restarts(100, WINDOW))).conductor
+        c.exited("dx", 1, 0)
+        c.exited("cx", 1, 0)
+        assert c.incidents.sentences == (
+            "at 0.0 s: dx ended with exit code 1 while running",
+            "at 0.0 s: cx ended with dx, in whose process it ran, while running",
+        )
+
     def test_a_process_that_cannot_start_says_what_its_device_lacks(self) -> None:
         c = session().conductor
         c.exited("dx", 1, 0)
