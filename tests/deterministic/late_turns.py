@@ -11,7 +11,7 @@ every sample it has to be at least
     kinetic energy + account - owed - P t,
 
 the theorem of decision 54 with what late ticks may have given out: what is owed still, and what was forgiven in the
-time t since the first of them.
+time t since the first of them began.
 Four courses of each session:
 
 - *covered*: every delay is within the certificate's tau. Nothing may be owed, and nothing is forgiven;
@@ -344,7 +344,7 @@ class TurningLate(Late):
         """
         super().__init__(bundle, allowance, latency)
         self._told, self._allowance, self._rng = told, allowance, np.random.default_rng(seed)
-        self._charges, self._first = [0.0, 0.0], math.inf
+        self._charges, self._before, self._first = [0.0, 0.0], 0.0, math.inf
         turning, part = self.tick.orientation, bundle.orientation
         self._turning: DeviceOrientation | None = turning
         if turning is None or part is None:
@@ -378,7 +378,8 @@ class TurningLate(Late):
         now = seconds(Duration(self.sampled))
         if charge > 0.0:
             self._charges = [self._charges[1], charge]
-            self._first = min(self._first, now)
+            self._first = min(self._first, self._before)  # a late tick is forgiven from its beginning on
+        self._before = now
         forgiven = allowance.power * max(0.0, now - self._first)
         kept, rounding = body.put_in - body.kinetic - spring.account, ROUNDING * body.work
         told.below = min(told.below, kept + spring.owed + forgiven + rounding)
@@ -529,7 +530,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     say(f"{len(outcomes)} sessions, {sum(c.ticks for o in outcomes for c, _ in (o.covered, o.enforced))} ticks with a")
     say(f"torque in {sum(t.torques for t in both)} samples, {sum(t.put_in for t in both):.3g} J put in and taken out")
     say(f"least margin of an account {min(t.margin for t in both):.3g} J, of all {min(t.accounts for t in both):.3g} J")
-    say(f"put in below the bound by {-min(t.below for t in both):.3g} J at most")
+    say(f"put in below the bound by {abs(min(t.below for t in both)):.3g} J at most")
     say(f"beyond tau {sum(t.late for t in beyond):.3g} J charged, {sum(t.let_go for t in beyond)} ticks let go")
     say(f"at b/{WEAKER:g} {weaker} sessions below, by up to {-min(o.weaker.below for o in outcomes):.3g} J")
     say(f"not charged {uncharged} sessions below, by up to {-min(o.uncharged.beyond for o in outcomes):.3g} J")
