@@ -121,7 +121,7 @@ class _Stiffness:
     """
 
     def __init__(self, part: OrientationPart, rungs: Sequence[DeviceRung]) -> None:
-        self._k = [part.stiffness if rung.turning is None else rung.turning for rung in rungs]
+        self._k = [part.stiffness_at(rung) for rung in rungs]
         self.begin()
 
     def begin(self) -> None:

@@ -143,21 +143,6 @@ class LinkInside:
             kinds=kinds,
         )  # fmt: skip
 
-    @property
-    def world_pressed(self) -> int:
-        """The user's buttons that are held down, as the world knows; none of a user who is silent."""
-        return 0 if self.world.holding else self.world.heard
-
-    @property
-    def at_world_rides(self) -> Sequence[float]:
-        """What rides with the user's motion, as the world knows; nothing of a user who is silent."""
-        return () if self.world.holding else self.world.ridden
-
-    @property
-    def at_user_rides(self) -> Sequence[float]:
-        """What rides with the world's force, as the user knows; nothing of a world that is silent."""
-        return () if self.user.holding else self.user.ridden
-
     def book(self) -> None:
         """Nothing is left to do."""
 
@@ -354,7 +339,7 @@ class Simulation:
                 port.book()
             f[ports[name]] = force
             if name in self.links:
-                came |= _by_hand(self._riding[name], self.links[name].at_user_rides)
+                came |= _by_hand(self._riding[name], self.links[name].user.rides)
         for name, device in self.devices.items():
             f[ports[name]] = device.exert(f[ports[name]].tolist(), now, came=came.get(name, NO_RIDER))
             device.book()
@@ -366,7 +351,7 @@ class Simulation:
         heard: dict[str, Sequence[float]] = {}
         for way in ways:
             if way in self.links:
-                heard |= _by_hand(self._riding[way], self.links[way].at_world_rides)
+                heard |= _by_hand(self._riding[way], self.links[way].world.rides)
             else:
                 heard |= {name: self.devices[name].rides for name in self._riding[way]}
         riders = [n for name in self._hands for n in heard.get(name, NO_RIDER)]
@@ -388,7 +373,7 @@ class Simulation:
         """The environment learns which buttons are held down behind the couplings that are not silent."""
         pressed = 0
         for name in ways:
-            pressed |= self.links[name].world_pressed if name in self.links else self._pressed(name)
+            pressed |= self.links[name].world.pressed if name in self.links else self._pressed(name)
         if changed := self.buttons.take(k, pressed):
             self._note(ENVIRONMENT, k, self.buttons, changed)
             self.environment.press(self.buttons.state)

@@ -26,6 +26,7 @@ from manyhands.design.levels.dry_friction import DryFriction
 from manyhands.design.models.kind import WhatRuns
 from manyhands.design.models.statespace import Matrix, StateSpace, matrix
 from manyhands.design.peak_gain import output_bounds
+from manyhands.design.problem import HapticLoop
 from manyhands.launch.files import require_target
 from manyhands.launch.plan.keys import Keys
 from manyhands.launch.plan.loop import NotCertified
@@ -301,21 +302,25 @@ def _orientation_of(prepared: Prepared, name: str) -> OrientationPart | SensedPa
     if own is None:
         return None
     part = prepared.certificate_of(name)
-    loop = prepared.loop if part is None else part.loop
+    return own.part(_spring_in(prepared.loop if part is None else part.loop, name))
+
+
+def _spring_in(loop: HapticLoop, name: str) -> float:
+    """K of the spring at the orientation of a device, N*m/rad, as its loop has it."""
     (level,) = (device.orientation for device in loop.devices if device.name == name)
     if level is None:
         raise AssertionError(f"the loop has the orientation of {name}")
-    return own.part(level.stiffness)
+    return level.stiffness
 
 
 def _turning(prepared: Prepared, name: str, rung: int) -> float | None:
     """K of the spring at a device's orientation, at a rung, N*m/rad; None where no torque acts."""
+    part = _orientation_of(prepared, name)
+    if not isinstance(part, OrientationPart):
+        return None
     if rung == 0 or prepared.ladder is None:
-        part = _orientation_of(prepared, name)
-        return part.stiffness if isinstance(part, OrientationPart) else None
-    loop = prepared.ladder.rungs[rung].loop
-    (level,) = (device.orientation for device in loop.devices if device.name == name)
-    return None if level is None or level.osp is None else level.stiffness
+        return part.stiffness
+    return _spring_in(prepared.ladder.rungs[rung].loop, name)
 
 
 def _oriented_tool(prepared: Prepared, name: str) -> OrientedTool:

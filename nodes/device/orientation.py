@@ -305,13 +305,13 @@ class DeviceOrientation:
         self._b, self._limit, self._speed = part.osp, part.torque, part.speed
         self._fade = RAMP  # how many parts of the greatest torque it takes
         self._next: DeviceRung | None = None  # the rung that it changes to
-        self._k = part.stiffness
+        self._part = part
         self._allowance = allowance
         self._latency, self._jitter = from_seconds(timing.latency), from_seconds(timing.jitter)
         self._slack = Duration(self._jitter + from_seconds(timing.actuation_delay))  # how well ends are known
         self._until: Instant | None = None
         self._ends = Instant(0)  # when the torque ends by itself
-        self.spring = OrientationSpring(part.stiffness if rung.turning is None else rung.turning, part.torque)
+        self.spring = OrientationSpring(part.stiffness_at(rung), part.torque)
         self.life = FIRST_LIFE
         self.R, self.most = UPRIGHT, part.torque
         self.came: tuple[float, ...] = NOTHING
@@ -326,7 +326,7 @@ class DeviceOrientation:
 
     def _take(self, rung: DeviceRung) -> None:
         """Take the stiffness of a rung, and what its damping pays for."""
-        self._k = self._k if rung.turning is None else rung.turning
+        self._k = self._part.stiffness_at(rung)
         T = self._T * (1.0 + rung.period_tolerance)
         self._tau: Duration = from_seconds(rung.tau)
         self._covered: Duration = from_seconds(T)

@@ -504,6 +504,10 @@ class OrientationPart:
             if not 0.0 < found < math.inf:
                 raise ValueError(f"found the number {found} of an orientation; expected finite positive ones")
 
+    def stiffness_at(self, rung: DeviceRung) -> float:
+        """K at a rung of the ladder, N*m/rad."""
+        return self.stiffness if rung.turning is None else rung.turning
+
     def power(self, period: float) -> float:
         """The most that a hand can put in within one period of so many seconds, J."""
         turn = self.speed * period

@@ -226,9 +226,9 @@ class _End(Join):
 
     def _put_with_riders(self, values: Floats, share: Floats) -> None:
         """Put numbers of the ports into ``values``, with what rode with the newest wave; nothing of a silent end."""
-        face = self.face
-        if face.ridden and not face.holding:
-            self.put(values, [*share, *face.ridden])
+        riders = self.face.rides
+        if riders:
+            self.put(values, [*share, *riders])
         else:
             self.put_ports(values, share)
 
@@ -468,7 +468,7 @@ class WorldEnd(_End):
     @property
     def pressed(self) -> int:
         """The user's buttons that are held down by the newest wave; none of a user who is silent."""
-        return 0 if self._face.holding else self._face.heard << self._first_button
+        return self._face.pressed << self._first_button
 
     def _admits_buttons(self) -> int:
         return self.peer.buttons[1]

@@ -292,6 +292,16 @@ class _Face(ABC):
         return self._play.starved
 
     @property
+    def pressed(self) -> int:
+        """The buttons at the other end that are held down; none of an end that is silent."""
+        return 0 if self.holding else self.heard
+
+    @property
+    def rides(self) -> tuple[float, ...]:
+        """What rides with the other end's motion or force; nothing of an end that is silent."""
+        return _NO_RIDERS if self.holding else self.ridden
+
+    @property
     def depth(self) -> float:
         """How far the play-out is behind the newest message, ticks of the other face; negative beyond it."""
         return self._play.lag()
