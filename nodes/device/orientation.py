@@ -309,7 +309,6 @@ class DeviceOrientation:
         self._allowance = allowance
         self._latency, self._jitter = from_seconds(timing.latency), from_seconds(timing.jitter)
         self._slack = Duration(self._jitter + from_seconds(timing.actuation_delay))  # how well ends are known
-        self._until: Instant | None = None
         self._ends = Instant(0)  # when the torque ends by itself
         self.spring = OrientationSpring(part.stiffness_at(rung), part.torque)
         self.life = FIRST_LIFE
@@ -410,25 +409,23 @@ class DeviceOrientation:
             ratio: of the guard, by which the device takes hold.
             until: when the motors let go by themselves; None for the longest that they hold a torque.
         """
-        self._until = until
         self.came = tuple(came[:5]) if came[5] == self.life else NOTHING
         self._fade = max(0, self._fade - 1) if self._next is not None else min(RAMP, self._fade + 1)
         self.most = self._limit * ratio * (self._fade / RAMP)
         if self._fast or self._owes or not self.most > 0.0:
             self.let_go += 1
-            self._hold(self._released(), at)
+            self._hold(self._released(), at, until)
             # the tick before is judged by the rung in which its torque acted, so there must have been none
             if self._next is not None and not self.most > 0.0 and not any(self._before):
                 self._take(self._next)
                 self.spring.change(self._k, self.R)
                 self._next = None
             return self.torque
-        self._hold(follow(self.spring, self.R, self.came, self.most), at)
+        self._hold(follow(self.spring, self.R, self.came, self.most), at, until)
         return self.torque
 
     def release(self, at: Instant) -> None:
         """Exert no torque from ``at`` on."""
-        self._until = None
         self._hold(self._released(), at)
 
     def shorten(self, until: Instant) -> None:
@@ -446,10 +443,10 @@ class DeviceOrientation:
         self.spring.release(self.R)
         return NO_TORQUE
 
-    def _hold(self, u: Vector3, at: Instant) -> None:
+    def _hold(self, u: Vector3, at: Instant, until: Instant | None = None) -> None:
         if not self._held:  # otherwise it has let go in this tick already
             self._held, self._before, self._acted = True, self.torque, at
-        self._ends = Instant(at + (self._longest or 0)) if self._until is None else self._until
+        self._ends = Instant(at + (self._longest or 0)) if until is None else until
         self.torque = u
         spring = self.spring
         self.least = min(self.least, spring.account)
