@@ -502,9 +502,12 @@ class HaplyInverse3(DeviceDriver):
         newest = self._usable()
         limit = max(from_seconds(self._given["silence"]), 2 * self._period)
         bound = limit
-        if self._asked_before(now) > 2 * self._period and not self._outstanding:  # nothing was asked: a pause
+        with self._lock:  # the keeper may ask as soon as it sees that the loop goes on
+            asked = self._outstanding[0][0] if self._outstanding else None
+        if self._asked_before(now if asked is None else asked) > 2 * self._period:  # nothing was asked: a pause
             bound = Duration(2 * self._period)
-            self._send()
+            if asked is None:
+                self._send()
         while (
             (now := self._clock.now()) and self._asked_before(now) > bound
             and self._outstanding and now - self._outstanding[0][0] <= limit

@@ -283,6 +283,27 @@ def test_a_pause_that_is_shorter_than_the_silence_leaves_no_old_state() -> None:
         assert driver.figures()["oldest_ms"] < before + 450.0
 
 
+def test_nor_does_one_after_which_the_keeper_asks_before_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+    with fake_haply(damping=5.0) as one, opened(one, silence=PATIENCE) as driver:
+        loop = Loop(driver)
+        loop.turn()
+        until(lambda: one.asked()["idle"])
+        before = driver.figures()["oldest_ms"]
+        time.sleep(0.5)
+        read = driver._read
+
+        def keeper_first() -> dict[str, Any] | None:
+            monkeypatch.setattr(driver, "_read", read)
+            found = read()
+            one.order("stall 50")  # so that the answer is not there at once
+            driver._send()
+            return found
+
+        monkeypatch.setattr(driver, "_read", keeper_first)
+        loop.turn()
+        assert driver.figures()["oldest_ms"] < before + 450.0
+
+
 @pytest.mark.skipif(not may_raise(), reason="this user may have no real-time priority")
 def test_the_keeper_has_the_priority_of_its_loop() -> None:
     with fake_haply() as one, opened(one) as driver:
