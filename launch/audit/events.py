@@ -23,7 +23,7 @@ from manyhands.nodes.rows.tick_events import Kind, events_in
 
 _NEVER: Final = 2**62
 
-_OF_A_CLUTCH: Final = (Kind.FROZEN, Kind.RETURNED)
+_OF_A_CLUTCH: Final = (Kind.FROZEN, Kind.FREE, Kind.RETURNED)
 
 
 @dataclass(frozen=True)

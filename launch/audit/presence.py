@@ -6,8 +6,8 @@ itself. A device cannot complete a tick without the forces of all its couplings.
 absent, they are not checked, and neither are those in which a number is not finite. What a party states of its own
 absence excuses nothing.
 
-A user behind a wave link counts its ticks by its own clock. There the environment's ticks are taken :data:`SLACK`
-wider.
+A user behind a wave link counts its ticks by its own clock. There the environment's ticks are taken wider
+(:data:`manyhands.nodes.recorder.away.SLACK`).
 """
 
 from __future__ import annotations
@@ -25,15 +25,13 @@ from manyhands.launch.recordings.run import RecordedRun, rows_of, there
 from manyhands.launch.session import Session
 from manyhands.launch.session.session import ENVIRONMENT
 from manyhands.nodes.kernel.bundle import REALTIME
+from manyhands.nodes.recorder.away import SLACK
 from manyhands.nodes.rows import figures as names
 from manyhands.nodes.rows.own_ticks import own_ticks_before
 from manyhands.protocol.channels import APPLIED, WORK
 from manyhands.protocol.messages import Role
 
 Flags = NDArray[np.bool_]
-
-SLACK: Final = 0.25
-"""By so much, s, the times differ in which the two ends of a wave link count an absence."""
 
 LAST: Final = 2
 """In real time a session that is ended leaves so many of its last ticks to some nodes alone: a device and its coupling

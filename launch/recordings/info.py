@@ -17,7 +17,8 @@ from mcap.records import Attachment, Channel, Metadata
 from manyhands.launch.recordings.mcap import End, Message, Messages, parts
 from manyhands.launch.recordings.reading import cut_at, fitting, objects
 from manyhands.launch.recordings.recording import RecordingError
-from manyhands.nodes.recorder.coverage import Coverage, missing_by_party, spans_by_party
+from manyhands.nodes.recorder.away import Away
+from manyhands.nodes.recorder.coverage import Coverage, missing_by_party, spans_by_party, without
 from manyhands.nodes.recorder.coverage import Gap as MissingTicks
 from manyhands.nodes.recorder.format import METADATA, SUPERVISOR, Recorded, decode_condition, decode_figures
 from manyhands.nodes.rows import figures as names
@@ -139,6 +140,8 @@ class _InfoReader:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._recorded: Recorded | None = None
+        self._away: Away | None = None
+        self._world = ""  # the topic of the environment's figures
         self._condition = ""  # the topic of the session's condition
         self._channels: dict[int, ChannelInfo] = {}
         self._devices: dict[str, tuple[str, Coverage]] = {}
@@ -166,7 +169,9 @@ class _InfoReader:
                 self._why = why
 
     def _begin(self, recorded: Recorded) -> None:
-        self._recorded = recorded
+        self._recorded, self._away = recorded, Away(recorded)
+        world = next(name for name, role in recorded.roles.items() if role is Role.ENVIRONMENT)
+        self._world = topic_name(recorded.session, world, TELEMETRY)
         sample = next(topic.name for topic in topics_of(Role.DEVICE) if topic.trace == DISPLACEMENT)
         self._devices = {
             topic_name(recorded.session, device, sample): (device, Coverage()) for device in recorded.devices
@@ -191,6 +196,9 @@ class _InfoReader:
                 self._devices[channel.topic][1].take_each(ticks)
             elif channel.topic in self._reporting:
                 self._take_figures(self._reporting[channel.topic], own)
+            elif channel.topic == self._world and self._away is not None:
+                for _, figures in fitting(objects([message.data for message in own]), decode_figures):
+                    self._away.take(figures)
             elif channel.topic == self._condition:
                 for _, condition in fitting(objects([message.data for message in own]), decode_condition):
                     self._by_itself |= condition.by_itself
@@ -213,7 +221,8 @@ class _InfoReader:
         begun = [session_tick(own.first, rate_of(name)) for name, own in devices.items() if own.first is not None]
         end = max((session_tick(own.next - 1, rate_of(name)) + 1 for name, own in devices.items()), default=0)
         spans = spans_by_party(devices, rate_of)
-        missing = missing_by_party(devices, spans)
+        away = {} if self._away is None else self._away.of(spans)
+        missing = missing_by_party(devices, spans, away)
         order = {node: place for place, node in enumerate([*self._recorded.roles, SUPERVISOR])}
         return Info(
             recorded=self._recorded,
@@ -223,7 +232,10 @@ class _InfoReader:
             channels=tuple(sorted(self._channels.values(), key=lambda channel: order.get(_node_of(channel.topic), 0))),
             attachments=self._attachments,
             missing=missing,
-            gaps={device: devices[device].gaps_in(spans[device].start, spans[device].stop) for device in missing},
+            gaps={
+                device: without(devices[device].gaps_in(spans[device].start, spans[device].stop), away.get(device, ()))
+                for device in missing
+            },
             accounts={device: self._accounts[device] for device in devices if device in self._accounts},
             by_itself=self._by_itself,
             presses=self._presses,

@@ -562,6 +562,15 @@ class Members:
         """
         self._life.fail(text)
 
+    def begin(self, tick: int) -> None:
+        """Record which wave links have nobody at them where the session begins, in ``tick``.
+
+        A process that takes the place of another has no need to: that it began says so of all couplings.
+        """
+        for member in self.all:
+            if member.linked and member.membership.joins:
+                self.events.begin_free(tick, member.join.peer.name)
+
     def soonest(self, tick: int) -> int:
         """The tick to wait at: ``tick``, or the first that a member was told, where none is awaited before."""
         told = (Membership.HELD, Membership.REJOINING)

@@ -274,6 +274,8 @@ class EnvironmentNode:
         if resumes:
             for join in self.joins:
                 join.resume()
+        else:
+            members.begin(start.tick)
         members.last, members.log = start.ticks, control.log
         members.know(self._feedthrough, bundle.feedthrough)
         clock, lead = self._clock, CROSSING * self._period

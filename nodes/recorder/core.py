@@ -20,6 +20,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from manyhands.nodes.recorder.away import Away
 from manyhands.nodes.recorder.coverage import Coverage, missing_by_party, spans_by_party
 from manyhands.nodes.recorder.format import (
     MAX_TIME_NS,
@@ -41,7 +42,7 @@ from manyhands.nodes.rows.tick_events import Kind
 from manyhands.protocol.channels import CONDITION, TELEMETRY, Columns, Topic
 from manyhands.protocol.codec import decode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
-from manyhands.protocol.messages import Condition, Observation, Stop, Values
+from manyhands.protocol.messages import Condition, Observation, Role, Stop, Values
 
 _BLOCK: Final = 128  # ticks
 
@@ -171,6 +172,7 @@ class RecorderCore:
         self._schemas: dict[str, int] = {}
         self._channels: dict[tuple[str, str], int] = {}
         self._coverage = {node: Coverage() for node in recorded.roles}
+        self._away = Away(recorded)
         self._start: int | None = None
         self._condition: Condition | None = None
         self.over = False
@@ -239,6 +241,8 @@ class RecorderCore:
             if node in self._recorded.devices:
                 self.tick = max(self.tick, session_tick(tick - 1, self._recorded.rate_of(node)) + 1)
         if observation.figures:
+            if self._recorded.roles[node] is Role.ENVIRONMENT:
+                self._away.take(observation.figures)
             channel = self._channel(node, TELEMETRY)
             time = start + self._since_start(node, tick)
             self._tape.message(channel, time, tick % SEQUENCES, encode_figures(tick, observation.figures))
@@ -275,10 +279,11 @@ class RecorderCore:
     @property
     def missing_in_all(self) -> dict[str, int]:
         """Number of ticks that were never reported, up to the latest of any device, by device, for devices that miss
-        some.
+        some; those in which nobody was there do not count.
         """
         coverage = self.coverage
-        return missing_by_party(coverage, spans_by_party(coverage, self._recorded.rate_of, 0))
+        spans = spans_by_party(coverage, self._recorded.rate_of, 0)
+        return missing_by_party(coverage, spans, self._away.of(spans))
 
     @property
     def coverage(self) -> dict[str, Coverage]:

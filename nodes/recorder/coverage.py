@@ -5,7 +5,7 @@ A party's ticks are its own (:mod:`manyhands.nodes.rows.own_ticks`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -97,7 +97,39 @@ def spans_by_party(
     }
 
 
-def missing_by_party(coverages: Mapping[str, Coverage], spans: Mapping[str, range]) -> dict[str, int]:
-    """Number of missing ticks in the span of each party, for the parties that miss some."""
-    counts = {name: one.missing_in(spans[name].start, spans[name].stop) for name, one in coverages.items()}
-    return {name: count for name, count in counts.items() if count > 0}
+def missing_by_party(
+    coverages: Mapping[str, Coverage], spans: Mapping[str, range], away: Mapping[str, Sequence[Gap]] | None = None
+) -> dict[str, int]:
+    """Number of missing ticks in the span of each party, for the parties that miss some.
+
+    Args:
+        coverages: of each party.
+        spans: by party, the ticks that are looked at.
+        away: by party, in increasing order, the ticks in which it was not there, and which do not count.
+    """
+    out = {}
+    for name, one in coverages.items():
+        begin, end = spans[name].start, spans[name].stop
+        gaps = one.gaps_in(begin, end)
+        owed = without(gaps, (away or {}).get(name, ()))
+        out[name] = one.missing_in(begin, end) - _ticks(gaps) + _ticks(owed)
+    return {name: count for name, count in out.items() if count > 0}
+
+
+def _ticks(gaps: Sequence[Gap]) -> int:
+    return sum(gap.end - gap.begin for gap in gaps)
+
+
+def without(gaps: Sequence[Gap], away: Sequence[Gap]) -> tuple[Gap, ...]:
+    """What is left of ``gaps`` without the ticks of ``away``; both in increasing order."""
+    out = []
+    for gap in gaps:
+        begin = gap.begin
+        for absence in away:
+            if begin < absence.begin < gap.end:
+                out.append(Gap(begin, absence.begin))
+            if absence.begin < gap.end:
+                begin = max(begin, absence.end)
+        if begin < gap.end:
+            out.append(Gap(begin, gap.end))
+    return tuple(out)

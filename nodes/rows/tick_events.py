@@ -8,6 +8,7 @@
 | ``rung@k`` | device, coupling | the rung to which the node changed in tick k, at rest |
 | ``leaving@k`` | device | 1: with the sample of tick k it begins to let go, by the ramp and for good |
 | ``frozen:cx@k`` | environment | 1: from tick k on the coupling cx was sent no force |
+| ``free:cx@k`` | environment | 1: from tick k on nobody was at cx's wave link yet, which was sent no force |
 | ``returned:cx@k`` | environment | 1: from tick k on it was again |
 | ``held:cx@k`` | environment | ticks, from tick k on, in which cx was held, for its signal had not come |
 | ``raised@k`` | environment | 1: in tick k it raised the forces of all couplings again by the ramp |
@@ -30,7 +31,7 @@ MOST_EVENTS: Final = 512
 """The most events of one telemetry; further releases and holds are only counted in the figures, which show it."""
 
 _FIGURE: Final = re.compile(
-    r"(?:(began|jumped|released|rung|leaving|raised)|(frozen|returned|held|linked|pressed):(.+))@([0-9]{1,15})"
+    r"(?:(began|jumped|released|rung|leaving|raised)|(frozen|free|returned|held|linked|pressed):(.+))@([0-9]{1,15})"
 )
 _MOST_VALUE: Final = 2.0**53
 
@@ -44,6 +45,7 @@ class Kind(StrEnum):
     RUNG = "rung"
     LEAVING = "leaving"
     FROZEN = "frozen"
+    FREE = "free"
     RETURNED = "returned"
     HELD = "held"
     LINKED = "linked"
@@ -89,6 +91,10 @@ class TickEvents:
     def freeze(self, tick: int, coupling: str) -> None:
         """Record that the environment sends ``coupling`` no force from ``tick`` on."""
         self._figures[f"{Kind.FROZEN}:{coupling}@{tick}"] = 1.0
+
+    def begin_free(self, tick: int, coupling: str) -> None:
+        """Record that nobody is at the wave link of ``coupling`` yet, with which the environment begins in ``tick``."""
+        self._figures[f"{Kind.FREE}:{coupling}@{tick}"] = 1.0
 
     def activate(self, tick: int, coupling: str) -> None:
         """Record that the environment sends ``coupling`` its force again from ``tick`` on."""

@@ -29,10 +29,12 @@ def test_rungs_and_frozen_couplings_are_reported() -> None:
     events.change_rung(11, 2)
     events.freeze(12, "c.x")
     events.activate(14, "c.x")
+    events.begin_free(15, "c.y")
     expected = [
         TickEvent(Kind.RUNG, 11, 2),
         TickEvent(Kind.FROZEN, 12, 1, "c.x"),
         TickEvent(Kind.RETURNED, 14, 1, "c.x"),
+        TickEvent(Kind.FREE, 15, 1, "c.y"),
     ]
     assert [*events_in(events.take(10, 20))] == expected
 
