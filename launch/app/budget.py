@@ -6,7 +6,7 @@ shows before any design how much stiffness a faster transport or a shorter perio
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -545,18 +545,60 @@ def print_wave_links(console: Console, found: Sequence[WaveLinkBudget]) -> None:
         )
 
 
-def below_speeds(own: OwnDevice, found: DelayBudget) -> list[tuple[float, float]]:
-    """Of a device with dry friction: a speed, m/s, and the stiffness that can be certified below it, N/m, by speed."""
-    if not own.friction:
-        return []
-    speeds = sorted({*SPEEDS, *(() if own.speed is None else (own.speed,))})
-    return [(speed, stiffest_below(found.loop, speed)[0].certified) for speed in speeds]
+def below_speeds(found: DelayBudget, speed: float | None) -> dict[str, list[tuple[float, float]]]:
+    """By device with dry friction: speeds, m/s, and the stiffness that can be certified below each, N/m.
+
+    Args:
+        found: the budget.
+        speed: of which it is told as well, m/s; None for no other than :data:`SPEEDS`.
+    """
+    loop = found.loop
+    if not any(device.friction for device in loop.devices):
+        return {}
+    speeds = sorted({*SPEEDS, *(() if speed is None else (speed,))})
+    limits = [[row.certified for row in stiffest_below(loop, one)] for one in speeds]
+    return {
+        device.name: [(one, row[i]) for one, row in zip(speeds, limits, strict=True)]
+        for i, device in enumerate(loop.devices)
+        if device.friction
+    }
 
 
 def own_device_object(own: OwnDevice, found: DelayBudget) -> dict[str, Any]:
     """What ``--json`` adds of a device with dry friction; speeds in m/s, stiffness in N/m."""
-    below = below_speeds(own, found)
-    return {"below_speeds": [{"speed": speed, "certified": certified} for speed, certified in below]} if below else {}
+    below = _plain_speeds(below_speeds(found, own.speed))
+    return {"below_speeds": below["device"]} if below else {}
+
+
+def friction_object(found: DelayBudget) -> dict[str, Any]:
+    """What ``--json`` adds of a session's devices with dry friction, by device; speeds in m/s, stiffness in N/m."""
+    below = _plain_speeds(below_speeds(found, found.loop.speed))
+    return {"below_speeds": below} if below else {}
+
+
+def _plain_speeds(below: Mapping[str, list[tuple[float, float]]]) -> dict[str, list[dict[str, float]]]:
+    return {name: [{"speed": v, "certified": K} for v, K in rows] for name, rows in below.items()}
+
+
+def print_friction(console: Console, found: DelayBudget) -> None:
+    """Print a line for the devices with dry friction: what it gives below which speed; the tables hold at every one."""
+    loop, alike = found.loop, dict[tuple[tuple[float, float], ...], list[str]]()
+    for name, rows in below_speeds(found, loop.speed).items():
+        alike.setdefault(tuple(rows), []).append(name)
+    for limits, of in list(alike.items())[:_MOST_ROWS]:
+        ports = [loop.ports[port] for device in loop.devices if device.name in of for port in device.ports]
+        unit = loop.units(*ports)
+        told = ", ".join(
+            f"{_figure(K)} {unit('N/m')} below {v:g} {unit('m/s')}{' (session)' if v == loop.speed else ''}"
+            for v, K in limits
+        )
+        late = f"{_ms(loop.tau)} ms late" if loop.tau else "nothing late"
+        console.print(
+            f"{brief_names(of)}: the tables hold at every speed; with a design.speed dry friction damps, too, {late}: "
+            f"{told}",
+            markup=False,
+            soft_wrap=True,
+        )
 
 
 def print_own_device(console: Console, own: OwnDevice, found: DelayBudget) -> None:
@@ -569,7 +611,7 @@ def print_own_device(console: Console, own: OwnDevice, found: DelayBudget) -> No
         markup=False,
         soft_wrap=True,
     )
-    for speed, certified in below_speeds(own, found):
+    for speed, certified in below_speeds(found, own.speed).get("device", ()):
         late = f"{1e3 * found.loop.tau:g} ms late" if found.loop.tau else "nothing late"
         console.print(
             f"Below {speed:g} {unit('m/s')}, with {own.friction:g} {unit('N')} of dry friction and {late}: "

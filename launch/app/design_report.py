@@ -492,8 +492,10 @@ def run_budget(session: Session, out: Console, err: Console, picture: Path | Non
     """
     from manyhands.launch.app.budget import (
         budget_object,
+        friction_object,
         plot_budget,
         print_budget,
+        print_friction,
         print_series,
         print_steps,
         print_wave_links,
@@ -511,10 +513,11 @@ def run_budget(session: Session, out: Console, err: Console, picture: Path | Non
     rates = list(form_figures(worth, kept_forms(session, time.time())))
     if as_json:
         own = {"wave_links": wave_links_object(links)} if links else {}
-        print_json(budget_object(found) | {"rates": rates_object(rates)} | own)
+        print_json(budget_object(found) | friction_object(found) | {"rates": rates_object(rates)} | own)
     else:
         linked = len(session.wave_links) == len(session.couplings)  # then the sites have delays of their own
         print_budget(out, found, "" if linked else " (session)")
+        print_friction(out, found)
         print_series(out, series_budget(found), loop)
         print_steps(out, found)
         print_wave_links(out, links)

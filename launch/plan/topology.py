@@ -130,9 +130,9 @@ def topology(session: Session) -> Topology:
 def placement(
     graph: Topology, processors: Sequence[int], raised: bool = False, remote: Collection[str] = ()
 ) -> Mapping[str, int]:
-    """The processor of each node that is pinned to one; empty where there is one chain or one processor.
+    """The processor of each node that is pinned to one; empty where there is one processor.
 
-    An environment that is to have a priority beside users elsewhere is pinned with one chain as well, and with none.
+    Without a priority a single chain is left to the kernel, and so is the environment. With one, everything is pinned.
 
     Args:
         graph: the session's nodes and links.
@@ -142,7 +142,7 @@ def placement(
         remote: the nodes that run on other machines.
     """
     chains = [local for chain in chains_of(graph) if (local := [node for node in chain if node not in remote])]
-    if len(processors) < 2 or (len(chains) < 2 and not (raised and remote)):
+    if len(processors) < 2 or (len(chains) < 2 and not raised):
         return {}
     load = dict.fromkeys(processors, 0.0)
     places: dict[str, int] = {}

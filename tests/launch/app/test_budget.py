@@ -23,8 +23,10 @@ from manyhands.launch.app.budget import (
     budget,
     budget_object,
     draw_speeds,
+    friction_object,
     plot_budget,
     print_budget,
+    print_friction,
     print_steps,
     print_wave_links,
     series_budget,
@@ -146,6 +148,24 @@ def test_a_line_for_each_encoder_says_what_its_step_can_add() -> None:
 
 
 RUBBING = ["devices.dx.friction={least: 0.2}", "devices.dy.friction={least: 0.2}", "design.tau=0.0002"]
+
+
+def test_a_line_says_what_friction_gives_below_which_speed() -> None:
+    found = session_budget(load_named("example1", [*RUBBING, "design.speed=0.05"]))
+    below = {v: (1.37 + 0.2 / v) / 0.8e-3 for v in (0.03, 0.05, 0.1, 0.3, 1.0)}
+    told = friction_object(found)["below_speeds"]
+    assert told.keys() == {"dx", "dy"}
+    assert {row["speed"]: row["certified"] for row in told["dx"]} == pytest.approx(below)
+    assert friction_object(session_budget(load_named("example1"))) == {}
+    console = Console(width=140, highlight=False)
+    with console.capture() as capture:
+        print_friction(console, found)
+        print_friction(console, session_budget(load_named("example1")))
+    [line] = capture.get().splitlines()
+    assert line.startswith(
+        "dx, dy: the tables hold at every speed; with a design.speed dry friction damps, too, 0.2 ms"
+    )
+    assert f"{below[0.05]:.0f} N/m below 0.05 m/s (session)" in line
 
 
 def test_devices_with_friction_have_a_curve_over_the_speed() -> None:

@@ -1,4 +1,4 @@
-"""A chain shares a processor; the kernel places the environment and a single chain."""
+"""A chain shares a processor; without a priority the kernel places the environment and a single chain."""
 
 from __future__ import annotations
 
@@ -44,9 +44,11 @@ def test_a_user_at_four_times_the_rate_has_a_processor_alone() -> None:
     assert placement(graph, [0, 1], raised=True) == {"dy": 0, "cy": 0, **shared, ENVIRONMENT: 1}
 
 
-def test_where_nothing_is_pinned_nothing_else_is_either() -> None:
-    graph = topology(load_session(SESSIONS / "example1-centralised.yaml"))
-    assert placement(graph, [0, 1], raised=True) == {}
+def test_one_user_alone_comes_before_others_as_well() -> None:
+    graph = topology(load_session(SESSIONS / "rub.yaml"))
+    assert placement(graph, [0, 1], raised=True) == {"hand": 0, "to_hand": 0, ENVIRONMENT: 1}
+    assert placement(graph, [0, 1]) == {}
+    assert placement(graph, [0], raised=True) == {}
 
 
 def test_nodes_elsewhere_take_no_processor_and_leave_the_environment_its_own() -> None:
