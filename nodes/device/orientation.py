@@ -363,13 +363,14 @@ class DeviceOrientation:
         spring, acted, longest = self.spring, any(self.torque) or any(self._before), h + self._jitter
         before, self._held_for = self._held_for, seconds(Duration(min(longest, ended)))
         late = longest > self._covered or d > self._tau or d > h
+        fastest = self._speed + max(math.hypot(*self.torque), math.hypot(*self._before)) / self._b
         burnt = self._b * far * far / seconds(Duration(longest))
         if acted:
             if late:
-                spring.charge(self._most_of(before, self._held_for, seconds(d)))
+                spring.charge(self._most_of(before, self._held_for, seconds(d), fastest))
             if ended < h + self._slack:  # the motors have let go by themselves since
                 if ended >= h:  # or do so just now
-                    spring.charge(self._limit * self._speed * seconds(self._slack))
+                    spring.charge(self._limit * fastest * seconds(self._slack))
                 spring.lose(self.R)
         elif self._owes:  # without a torque nothing was stored, and what was burnt pays for nothing else
             spring.lose(self.R)
@@ -388,12 +389,15 @@ class DeviceOrientation:
         """Whether late ticks may have given out more than lateness may put in at once."""
         return self._allowance is not None and self.spring.owed > self._allowance.energy
 
-    def _most_of(self, before: float, h: float, d: float) -> float:
-        """What a tick of h s with a delay of d s, after one of ``before`` s, may give out, J: decision 54, (4)."""
+    def _most_of(self, before: float, h: float, d: float, fastest: float) -> float:
+        """What a tick of h s with a delay of d s, after one of ``before`` s, may give out, J: decision 54, (4).
+
+        ``fastest``, rad/s, is the greatest speed: what a torque alone would reach comes to that of the hand.
+        """
         e, late = self._epsilon, (2.0 * before + d) * d
         if e > 0.0:
             late = min(late, (1.0 + 1.0 / e) * d * d)
-        return 0.5 * self._k * self._speed**2 * ((1.0 + e) * h * h + late)
+        return 0.5 * self._k * fastest**2 * ((1.0 + e) * h * h + late)
 
     @property
     def rides(self) -> Floats:

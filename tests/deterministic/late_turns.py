@@ -3,7 +3,8 @@
 ``make orientation`` runs 500 of them. Each is designed, certified and cut into bundles as a launch does it, and runs at
 drawn instants, as :mod:`tests.deterministic.lateness` has them. Some hands exert the torques of their session, others
 are *hostile*: without inertia, they turn to and fro within some ticks, or along the torque that they feel, which draws
-most out of it, at up to the greatest speed that their device states. Signals and answers are lost.
+most out of it, at up to the greatest speed that their device states, and what its torque adds to that. Signals and
+answers are lost.
 
 What a hand has put in by turning, E, is computed from its way and the torques alone, with no number of the law. After
 every sample it has to be at least
@@ -32,7 +33,7 @@ import math
 import multiprocessing
 import sys
 import tempfile
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -74,18 +75,17 @@ def hostile_hands(seed: int) -> frozenset[str]:
     return frozenset(f"d{i}" for i in range(3) if rng.random() < 0.6)
 
 
-def session_tree(rng: Generator, hostile: Collection[str] = ()) -> Tree:
+def session_tree(rng: Generator) -> Tree:
     """A session file as plain data: one to three devices, whose tools are turned in MuJoCo, some of them in slots.
 
     Args:
         rng: the random numbers.
-        hostile: the devices in hostile hands, ``d0`` ... ``d2``.
     """
     T = float(rng.choice([1e-3, 1e-3, 5e-4, 2e-3]))
     devices: Tree = {}
     tools: list[str] = []
     for i in range(int(rng.integers(1, 4))):
-        devices[f"d{i}"] = _device(rng, T, turns=i == 0 or rng.random() < 0.7, hostile=f"d{i}" in hostile)
+        devices[f"d{i}"] = _device(rng, T, turns=i == 0 or rng.random() < 0.7)
         tools.append(_tool(rng, f"d{i}", i, T, devices[f"d{i}"].get("orientation")))
     careful = rng.random() < 0.7
     model = (
@@ -121,7 +121,7 @@ def session_tree(rng: Generator, hostile: Collection[str] = ()) -> Tree:
     }
 
 
-def _device(rng: Generator, T: float, turns: bool, hostile: bool) -> Tree:
+def _device(rng: Generator, T: float, turns: bool) -> Tree:
     osp = [round(float(10.0 ** rng.uniform(-0.5, 0.8)), 3) for _ in range(3)]
     hertz = rng.uniform(0.5, 8.0)
     device: Tree = {
@@ -138,8 +138,8 @@ def _device(rng: Generator, T: float, turns: bool, hostile: bool) -> Tree:
     }
     if turns:
         b, speed = float(10.0 ** rng.uniform(-4.0, -2.3)), float(10.0 ** rng.uniform(0.7, 1.8))
-        # the torque alone turns an honest one more slowly than its greatest speed; a hostile hand keeps to that itself
-        most = 10.0 ** float(rng.uniform(-0.7, 1.0 if hostile else -0.3)) * b * speed
+        # some torques alone turn it faster than its greatest speed
+        most = 10.0 ** float(rng.uniform(-0.7, 1.0)) * b * speed
         sizes, beats = rng.uniform(-0.25, 0.25, 3) * b * speed, 10.0 ** rng.uniform(-0.3, 2.0, 3)
         device["orientation"] = {
             "osp": b,
@@ -271,7 +271,8 @@ class HostileBody(MeteredBody):
             omega = np.array(v) * math.copysign(2.0 / dt, w)
         else:
             omega = self._rng.standard_normal(3) * 0.5 * self._rate
-        omega = omega * min(1.0, self._speed / max(float(np.linalg.norm(omega)), 1e-300))
+        most = self._speed + float(np.linalg.norm(u)) / self._b  # what its torque adds to the hand's own
+        omega = omega * min(1.0, most / max(float(np.linalg.norm(omega)), 1e-300))
         burnt, given = self._damping * float(omega @ omega) * dt, float(u @ omega) * dt
         self.put_in += burnt - given
         self.work += burnt + abs(given)
@@ -470,7 +471,7 @@ def prepared_session(seed: int) -> Prepared | None:
     """The random session of this seed with its certificate; None where nothing can be certified."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "late.yaml"
-        path.write_text(json.dumps(session_tree(np.random.default_rng(seed), hostile_hands(seed))))
+        path.write_text(json.dumps(session_tree(np.random.default_rng(seed))))
         try:
             return prepare(load_session(path))
         except DesignError:

@@ -193,7 +193,23 @@ def test_a_hand_that_comes_back_within_a_late_tick_gets_what_is_counted_and_much
     of.sample(101, Instant(at[-1]))
     given_out = before - body.put_in
     assert body.put_in >= -of.spring.late
-    assert of.spring.late <= 20.0 * given_out  # no more than a bound that is good for something
+    counted = 1.0 + math.hypot(*of.torque) / (B * speed)  # the torque could have turned it faster by so much
+    assert of.spring.late <= 20.0 * given_out * counted**2  # no more than a bound that is good for something
+
+
+def test_a_torque_that_alone_turns_the_device_beyond_its_greatest_speed_is_counted_as_such() -> None:
+    """No hand is at the device: all that it has after 50 ms came from its account, for which others pay, or is owed."""
+    held = from_seconds(0.05)
+    hand = TurnedHand(0.8 * B * 0.05, B, (0.0, 0.0, 0.0))
+    of = DeviceOrientation(OrientationPart(B, K, K, 5.0, hand), T, RUNG, None, held)
+    of._body = body = Measured(hand)
+    of.sample(0, Instant(0))
+    u = of.exert([*turned_by(UPRIGHT, (0.5, 0.0, 0.0)), 1.0, of.life], Instant(0))
+    of.sample(1, Instant(held))
+    kinetic = -body.put_in  # what the motors did beyond what was burnt
+    assert math.hypot(*body._omega) > 10.0 * 5.0
+    assert math.hypot(*u) > 10.0 * B * 5.0
+    assert 3.0 * -of.least < kinetic <= of.spring.late - of.least
 
 
 def test_beyond_what_lateness_may_put_in_it_lets_go_until_that_is_paid() -> None:
