@@ -216,7 +216,7 @@ _LEDGER: Final = "ledger\nmin [J]"
 _GIVEN: Final = "given [%]\nforce/time"
 _REPORTED: Final = (
     *("node", "ticks", "late", "τ [µs]\np50/p99/p99.9/max", _PERIOD, _GIVEN, _LEDGER),
-    "account\nmin/bound [J]",
+    "account\nmin/left [J]",
 )
 _REPORT_RANKS: Final = {_PERIOD: 3, _GIVEN: 2, _LEDGER: 1}
 
@@ -246,7 +246,7 @@ def print_report(console: Console, report: Mapping[str, Any], faults: Sequence[s
         late = str(node.get("late", ""))
         shares = node.get("given", {})
         given = shares_cell(shares.get("force"), shares.get("time"))
-        rows.append([name, str(node["ticks"]), late, *percentiles, given, ledger, _account(node, report), speeds])
+        rows.append([name, str(node["ticks"]), late, *percentiles, given, ledger, _account(node), speeds])
     rows += [[name, "no report", *[""] * (len(_REPORTED) - 1)] for name in report.get("unreported", ())]
     titles = (*_REPORTED, f"speed [{units_in(report)('m/s')}]\npeak → final")
     table, left_out = figure_table(title, titles, rows, _REPORT_RANKS, console.width)
@@ -285,12 +285,9 @@ def print_report(console: Console, report: Mapping[str, Any], faults: Sequence[s
         say(console, last)
 
 
-def _account(node: Mapping[str, Any], report: Mapping[str, Any]) -> str:
-    """The least account of a node's interface beside its bound, as far as there are any."""
-    if "interface" not in node:
-        return ""
-    bound = f"/{0.0 - report['lateness']['tank']:.0e}" if "lateness" in report else ""
-    return f"{node['interface']['min']:.1e}{bound}"
+def _account(node: Mapping[str, Any]) -> str:
+    """The least account of a node's interface, and what was left above its bound, which falls by the tank's power."""
+    return f"{node['interface']['min']:.1e}/{node['interface']['margin']:.1e}" if "interface" in node else ""
 
 
 def _coupling_rows(table: Table, coupling: SpringDamper, units: Units, of_run: bool) -> None:

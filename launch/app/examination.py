@@ -129,10 +129,17 @@ def compiled_sentence(found: CompiledWorth, worth: Worth) -> str:
     """What the compiled tick is worth here, as a sentence."""
     (compiled, pure), (least, most) = found.medians, found.spread
     unit = worth.loop.units()("N/m")
+    times = f"{least:.2f} to {most:.2f}"
+    turns = f"in {TURNS} turns; medians {compiled:.0f} µs and {pure:.0f} µs"
+    if least < 1.0 < most:
+        return (
+            "Which of the compiled tick and pure Python is faster here was not to be seen: the first takes "
+            f"{times} of the other's time {turns}."
+        )
     gain = " in place of ".join(f"{worth.weakest_of_tick(median):.0f} {unit}" for median in (compiled, pure))
     return (
-        f"The compiled tick takes {found.ratio:.2f} of the time of pure Python here ({least:.2f} to {most:.2f} in "
-        f"{TURNS} turns; medians {compiled:.0f} µs and {pure:.0f} µs): {gain} at the median."
+        f"The compiled tick takes {found.ratio:.2f} of the time of pure Python here ({times} {turns}): {gain} at the "
+        "median."
     )
 
 

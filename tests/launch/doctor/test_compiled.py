@@ -62,6 +62,14 @@ def test_it_is_told_with_the_stiffness_of_either(monkeypatch: pytest.MonkeyPatch
     assert compiled_object(None, worth) is None
 
 
+def test_turns_that_disagree_tell_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("PYTHONPATH", raising=False)
+    found = by_turns(in_turns({False: [150.0, 150.0, 400.0], True: [200.0] * TURNS}))
+    sentence = compiled_sentence(found, Worth.of(haptic_loop(load_named("example1"))))
+    assert "was not to be seen: the first takes 0.75 to 2.00 of the other's time" in sentence
+    assert "in place of" not in sentence
+
+
 def test_ctrl_c_ends_it_between_two_turns() -> None:
     def measure() -> Ticking:
         signal.raise_signal(signal.SIGTERM)
