@@ -142,6 +142,7 @@ class _InfoReader:
         self._recorded: Recorded | None = None
         self._away: Away | None = None
         self._world = ""  # the topic of the environment's figures
+        self._end = 0  # the tick after its last
         self._condition = ""  # the topic of the session's condition
         self._channels: dict[int, ChannelInfo] = {}
         self._devices: dict[str, tuple[str, Coverage]] = {}
@@ -197,8 +198,9 @@ class _InfoReader:
             elif channel.topic in self._reporting:
                 self._take_figures(self._reporting[channel.topic], own)
             elif channel.topic == self._world and self._away is not None:
-                for _, figures in fitting(objects([message.data for message in own]), decode_figures):
+                for tick, figures in fitting(objects([message.data for message in own]), decode_figures):
                     self._away.take(figures)
+                    self._end = max(self._end, tick)
             elif channel.topic == self._condition:
                 for _, condition in fitting(objects([message.data for message in own]), decode_condition):
                     self._by_itself |= condition.by_itself
@@ -219,7 +221,8 @@ class _InfoReader:
         devices = dict(self._devices.values())
         rate_of = self._recorded.rate_of
         begun = [session_tick(own.first, rate_of(name)) for name, own in devices.items() if own.first is not None]
-        end = max((session_tick(own.next - 1, rate_of(name)) + 1 for name, own in devices.items()), default=0)
+        ends = (session_tick(own.next - 1, rate_of(name)) + 1 for name, own in devices.items())
+        end = max(self._end, *ends)  # a session may go on without a device
         spans = spans_by_party(devices, rate_of)
         away = {} if self._away is None else self._away.of(spans)
         missing = missing_by_party(devices, spans, away)

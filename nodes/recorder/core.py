@@ -175,6 +175,7 @@ class RecorderCore:
         self._away = Away(recorded)
         self._start: int | None = None
         self._condition: Condition | None = None
+        self._latest = 0  # the session's tick after the latest of any node
         self.over = False
         self.tick = 0
         self.refused = 0
@@ -238,8 +239,10 @@ class RecorderCore:
                     channel = self._channel(node, made.topic)
                     self._tape.message(channel, made.time, made.tick % SEQUENCES, made.data)
             self._coverage[node].take(tick - rows, tick)
+            reached = session_tick(tick - 1, self._recorded.rate_of(node)) + 1
+            self._latest = max(self._latest, reached)
             if node in self._recorded.devices:
-                self.tick = max(self.tick, session_tick(tick - 1, self._recorded.rate_of(node)) + 1)
+                self.tick = max(self.tick, reached)
         if observation.figures:
             if self._recorded.roles[node] is Role.ENVIRONMENT:
                 self._away.take(observation.figures)
@@ -271,10 +274,11 @@ class RecorderCore:
         if before is not None and _without_figures(condition) == _without_figures(before):
             return
         channel = self._channel(SUPERVISOR, CONDITION)
-        data = encode_condition(self.tick, condition)
+        tick = self._latest  # of any node: a session may go on without a device
+        data = encode_condition(tick, condition)
         if self._start is not None:  # before that the time of tick 0 is not known
-            time = self._start + self._since_start(SUPERVISOR, self.tick)
-        self._tape.message(channel, time, self.tick % SEQUENCES, data)
+            time = self._start + self._since_start(SUPERVISOR, tick)
+        self._tape.message(channel, time, tick % SEQUENCES, data)
 
     @property
     def missing_in_all(self) -> dict[str, int]:

@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from manyhands.launch.recordings.recording import RecordingError
+from manyhands.launch.recordings.run import read_run
 from manyhands.launch.recordings.tables import read_recording
 from manyhands.nodes.recorder import node as status
 from manyhands.nodes.recorder.core import CHUNK_BYTES, RecorderCore, Ticks, row_texts
@@ -119,6 +120,15 @@ class Test_layout:
         plain = json.loads(encode_condition(7, Condition("over", 0.5, {}, (), ("n",))))
         del plain[key]
         assert decode_condition(plain) == (7, Condition("over", 0.5, {}, (), ("n",)))
+
+    def test_a_condition_is_at_the_tick_of_a_session_that_has_no_device_yet(self, tmp_path: Path) -> None:
+        core = RecorderCore(RECORDED, {}, started=0)
+        rows = {"x_e": np.zeros((700, 3))}
+        core.take(encode(Observation("environment", 700, Figures({}), rows)), 0)
+        core.take(encode(Condition("running", 0.7, {}, visits=("a has joined",))), 0)
+        path = tmp_path / "run.mcap"
+        path.write_bytes(core.cut() + core.end())
+        assert [tick for tick, _ in read_run(path).conditions] == [700]
 
     def test_a_condition_in_which_only_costs_grow_is_written_once(self) -> None:
         core = RecorderCore(RECORDED, {}, started=0)

@@ -63,7 +63,7 @@ def test_the_object_has_what_was_measured_and_what_it_means() -> None:
 
 @pytest.mark.alone  # it measures the machine
 def test_people_get_tables_of_any_session() -> None:
-    result = doctor("example1-centralised", "--duration", "1")  # one coupling with three devices, nothing pinned
+    result = doctor("example1-centralised", "--duration", "1")  # one coupling with three devices
     assert result.exit_code == 0, result.stderr
     for expected in (
         "this machine",
@@ -74,7 +74,7 @@ def test_people_get_tables_of_any_session() -> None:
         "tcp",
     ):
         assert expected in result.stdout
-    assert "ipc, SCHED_FIFO" not in result.stdout
+    assert "ipc, SCHED_FIFO" not in result.stdout or may_raise()
 
 
 @pytest.mark.parametrize("seconds", ["0.5", "601", "nan", "inf", "-1"])
