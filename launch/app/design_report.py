@@ -184,7 +184,7 @@ def print_certificate(console: Console, certificate: Certificate) -> None:
         )
     kept = loop.environment.rows(certificate.margins, units)
     for what, value in kept.items():
-        table.add_row(what, value if isinstance(value, str) else _matrix_text(value, ".4f"))
+        table.add_row(what, value if isinstance(value, str) else _matrix_text(value, "z.4f"))
     if not kept:
         energy = isinstance(levels.P_E, str)
         by = "its mechanical energy" if energy else f"a storage matrix of order {len(levels.P_E)}"
@@ -292,8 +292,8 @@ def _account(node: Mapping[str, Any]) -> str:
 
 def _coupling_rows(table: Table, coupling: SpringDamper, units: Units, of_run: bool) -> None:
     run = ", run" if of_run else ""
-    table.add_row(f"K{run} [{units('N/m')}]", _matrix_text(coupling.stiffness, ".4f"))
-    table.add_row(f"B{run} [{units('N·s/m')}]", _matrix_text(coupling.damping, ".4f"))
+    table.add_row(f"K{run} [{units('N/m')}]", _matrix_text(coupling.stiffness, "z.4f"))
+    table.add_row(f"B{run} [{units('N·s/m')}]", _matrix_text(coupling.damping, "z.4f"))
 
 
 def series_rows(certificate: Certificate) -> dict[str, dict[str, float]]:
