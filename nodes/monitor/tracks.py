@@ -12,7 +12,7 @@ touches every extreme of the trace, however short; a curve through every n-th sa
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -125,6 +125,9 @@ VELOCITY: Final = Topic("velocity", "v", "v", "m/s", Columns.PORTS)
 ANGLE: Final = Topic("angle", "angle", "θ", "rad", Columns.ONE, hands=True)
 """A topic that no node reports: the angle of the turn between a device's orientation and its proxy's."""
 
+DERIVED: Final[Mapping[str, Topic]] = {DISPLACEMENT: VELOCITY, PROXY: ANGLE}
+"""The topics that no node reports, by the trace of a device that each is made of; :class:`Tracks` makes them."""
+
 _UNDRAWN: Final = (Columns.INSTANTS, Columns.PROPOSED, Columns.HEARD)
 
 
@@ -198,6 +201,10 @@ class Tracks:
         self.columns = {key: _columns(key, about) for key in _keys(about)}
         self._tracks = {key: Track(len(columns), buckets) for key, columns in self.columns.items()}
         self._decimators = {key: Decimator(self.sizes[key.node], len(columns)) for key, columns in self.columns.items()}
+        self._derived: Mapping[Topic, Callable[[int, Floats, Observation], Floats]] = {
+            VELOCITY: self._velocity,
+            ANGLE: self._angle,
+        }
         self._last: dict[str, tuple[int, Floats, Floats]] = {}  # each device's latest tick, with x and s then
         self.unfit = 0
 
@@ -206,7 +213,7 @@ class Tracks:
         rows = max((len(trace) for trace in observation.traces.values()), default=0)
         first = observation.tick - rows
         for key in self.columns:
-            if key.node != observation.node or key.topic in (VELOCITY, ANGLE):
+            if key.node != observation.node or key.topic in self._derived:
                 continue
             values = observation.traces.get(key.topic.trace)
             if values is None:
@@ -215,12 +222,9 @@ class Tracks:
                 self.unfit += 1
                 continue
             self._add(key, first, values)
-            if key.topic.trace == DISPLACEMENT:
-                self._add(TrackKey(key.node, VELOCITY), first, self._velocity(key.node, first, values, observation))
-            if key.topic.trace == PROXY:
-                R = observation.traces.get(ORIENTATION)
-                if R is not None and R.shape == values.shape:
-                    self._add(TrackKey(key.node, ANGLE), first, angles(R, values)[:, None])
+            derived = TrackKey(key.node, DERIVED.get(key.topic.trace, key.topic))
+            if derived != key and derived in self.columns:
+                self._add(derived, first, self._derived[derived.topic](first, values, observation))
 
     def items(self) -> Iterator[tuple[TrackKey, Track]]:
         """Every track, in the order of the session's nodes and of the table."""
@@ -230,12 +234,12 @@ class Tracks:
         for piece in self._decimators[key].take(first, values):
             self._tracks[key].add(piece)
 
-    def _velocity(self, node: str, first: int, x: Floats, observation: Observation) -> Floats:
+    def _velocity(self, first: int, x: Floats, observation: Observation) -> Floats:
         """v(k) = (x(k) - x(k-1)) / (s(k) - s(k-1)), m/s; NaN where the tick before is not known.
 
         A device in wall time reports its samples' instants s(k); for any other they are kT.
         """
-        instants = observation.traces.get(INSTANTS)
+        node, instants = observation.node, observation.traces.get(INSTANTS)
         if instants is None or instants.shape != (len(x), len(INSTANT_NAMES)):
             s = self._about.period_of(node) * np.arange(first, first + len(x), dtype=np.float64)[:, None]
         else:
@@ -248,6 +252,11 @@ class Tracks:
             moved, passed = (np.diff(values, axis=0, prepend=last) for values, last in zip((x, s), before, strict=True))
             return np.divide(moved, passed, out=np.full_like(moved, np.nan), where=passed > 0.0)
 
+    def _angle(self, _first: int, proxy: Floats, observation: Observation) -> Floats:
+        """The angle of R Q^T, rad; nothing where the device's orientation is not told."""
+        R = observation.traces.get(ORIENTATION)
+        return angles(R, proxy)[:, None] if R is not None and R.shape == proxy.shape else np.empty((0, 1))
+
 
 def _keys(about: About) -> Iterator[TrackKey]:
     for name, node in about.nodes.items():
@@ -255,13 +264,11 @@ def _keys(about: About) -> Iterator[TrackKey]:
             if topic.columns in _UNDRAWN:
                 continue
             yield TrackKey(name, topic)
-            if node.role is Role.DEVICE and topic.trace == DISPLACEMENT:
-                yield TrackKey(name, VELOCITY)
-            if node.role is Role.DEVICE and topic.trace == PROXY:
-                yield TrackKey(name, ANGLE)
+            if node.role is Role.DEVICE and topic.trace in DERIVED:
+                yield TrackKey(name, DERIVED[topic.trace])
 
 
 def _columns(key: TrackKey, about: About) -> tuple[str, ...]:
-    if key.topic is ANGLE:
-        return (ANGLE.symbol,)
-    return about.nodes[key.node].ports if key.topic is VELOCITY else about.topics(key.node)[key.topic]
+    if key.topic not in DERIVED.values():
+        return about.topics(key.node)[key.topic]
+    return (key.topic.symbol,) if key.topic.columns is Columns.ONE else about.nodes[key.node].ports

@@ -16,10 +16,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 import pytest
 import yaml
 
+from manyhands.launch.recordings.run import read_run
+from manyhands.launch.recordings.run import rows_of as rows_of_trace
 from manyhands.launch.run.outcome import rows_of
+from manyhands.protocol.channels import DISPLACEMENT, FORCE
 
 from ..support.commands import MANYHANDS, run
 from .device_faults import OF_THE_MACHINE, TESTED, session_of
@@ -86,6 +90,16 @@ def _numbers(value: float | list[float]) -> Iterator[float]:
     yield from value if isinstance(value, list) else [value]
 
 
+def stiffness_felt(recording: Path) -> float:
+    """How the force on the first axis of the device rises with its displacement, and beside that with its speed."""
+    run = read_run(recording)
+    x, f = (rows_of_trace(run, TESTED, trace)[:, 0] for trace in (DISPLACEMENT, FORCE))
+    v = np.gradient(x)
+    known = np.isfinite(x) & np.isfinite(f) & np.isfinite(v)
+    by = np.column_stack([x, v, np.ones_like(x)])[known]
+    return float(abs(np.linalg.lstsq(by, f[known], rcond=None)[0][0]))
+
+
 @pytest.mark.long
 @pytest.mark.alone  # beside other tests the loop has no turns
 @pytest.mark.parametrize(
@@ -111,11 +125,14 @@ def test_a_device_is_identified_in_real_time_and_its_wall_is_felt(driver: str, t
         if found.stated and row.free.stated:  # otherwise the row's keys have one that somebody has measured
             parameters = {**row.parameters, **far.parameters}
             content["devices"][TESTED] = {"from": found.file.name, "parameters": parameters}
-        session, report = tmp_path / "wall.yaml", tmp_path / "wall.json"
+        session, report, recording = (tmp_path / f"wall.{suffix}" for suffix in ("yaml", "json", "mcap"))
         session.write_text(yaml.safe_dump(content))
-        run("design", session)
-        run("launch", session, "--duration", "5", "--report", report)
+        K = json.loads(run("design", session, "--json"))["coupling"]["stiffness"][0][0]
+        run("launch", session, "--duration", "5", "--report", report, "--record", recording)
     done = json.loads(report.read_text())
-    assert done["nodes"][TESTED]["peak_force"] > 4.0 * row.felt  # the wall pushes back
+    assert done["nodes"][TESTED]["peak_force"] > row.felt  # the wall pushes back
+    felt, both = stiffness_felt(recording), 1.0 / (1.0 / K + 1.0 / row.stiffness)
+    sys.stdout.write(f"K {K:.4g}, with the wall {both:.4g}, felt {felt:.4g}\n")
+    assert felt > 0.5 * both
     broken = [row for row in rows_of(done) if row.state == "broken" and row.promise not in OF_THE_MACHINE]
     assert not broken
