@@ -14,6 +14,7 @@ from manyhands.launch.plan.topology import Topology, roster
 from manyhands.launch.session import SUPERVISOR
 from manyhands.launch.session.errors import one_of
 from manyhands.protocol.keys import KeyRing
+from manyhands.protocol.transport.datagrams import shared_address
 from manyhands.protocol.transport.zeromq import LOOPBACK, is_address
 
 HUB_NAME = "control"
@@ -96,7 +97,7 @@ class Reach:
         return "" if self.remote else self._at(1 + index, LOOPBACK)
 
     def datagram_port(self, graph: Topology, linked: Collection[str]) -> int:
-        """The UDP port of the world's end of all wave links: the TCP port of the first of them to another machine.
+        """The UDP port of the world's end of all wave links (:func:`.shared_address`).
 
         Args:
             graph: the session's processes and links.
@@ -105,9 +106,9 @@ class Reach:
         Returns:
             0 where no wave goes to another machine, or where the ports are chosen when they are bound.
         """
-        to = (i for i, link in enumerate(graph.links) if link.connector in self.remote.intersection(linked))
-        first = next(to, None)
-        return self.listen.port + 1 + first if self.listen.port and first is not None else 0
+        to = {i: link.connector for i, link in enumerate(graph.links) if link.connector in linked}
+        port = shared_address([self.address(graph, i) for i in to]).rpartition(":")[2]
+        return int(port) if self.remote.intersection(to.values()) and port.isdecimal() else 0
 
     def hub_address(self) -> str:
         """The address at which the supervisor's hub is bound; empty for ipc."""

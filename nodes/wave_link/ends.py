@@ -48,8 +48,8 @@ from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_STRAY_FRAMES
 from manyhands.protocol.messages import PathKey, SignalMessage, Values, Wave
 from manyhands.protocol.path import PathState
 from manyhands.protocol.transport import Link, TransportError
-from manyhands.protocol.transport.datagrams import DatagramPath, DatagramSocket
-from manyhands.protocol.transport.zeromq import LOOPBACK, Arrivals
+from manyhands.protocol.transport.datagrams import DatagramPath, DatagramSocket, shared_address
+from manyhands.protocol.transport.zeromq import Arrivals
 
 JOINING: Final = 0.3
 """Time for which an end measures how late waves come before its depth is settled, s."""
@@ -567,17 +567,12 @@ def may_go_by_datagram(common: Common) -> bool:
 def datagram_socket(own: OwnEnd) -> DatagramSocket | None:
     """The environment's socket for the datagrams of all its wave links, which its couplings may reach from elsewhere.
 
-    It has the host and the number of the TCP port of the first wave link to another machine, so one port more is to be
-    opened in a firewall. Where all are of this machine, it has the port of the first, on the loopback. None where no
-    wave may go by datagram: without keys, within one machine's ipc, and under the simulated clock.
+    None where no wave may go by datagram: without keys, within one machine's ipc, and under the simulated clock.
     """
     common = own.common
     if not may_go_by_datagram(common):
         return None
-    addresses = [peer.address for peer in common.peers if peer.name in own.waves and peer.address]
-    here = f"{LOOPBACK}:"
-    address = next((one for one in addresses if not one.startswith(here)), addresses[0] if addresses else f"{here}0")
-    host, _, port = address.rpartition(":")
+    host, _, port = shared_address([peer.address for peer in common.peers if peer.name in own.waves]).rpartition(":")
     try:
         return DatagramSocket.bound(host.strip("[]"), int(port) if port.isdecimal() else 0, own.clock)
     except TransportError:  # the port is taken, or UDP is forbidden: the waves stay with ZeroMQ

@@ -42,11 +42,26 @@ from manyhands.protocol.path import (
     connection_of,
 )
 from manyhands.protocol.transport import Link, TransportError
+from manyhands.protocol.transport.zeromq import LOOPBACK
 
 _READ_AT_ONCE: Final = 64
 """Datagrams read in one call, beyond four for each path: a flood must not keep the loop from its other work."""
 
 _QUEUE_BYTES: Final = 4 * 1024 * 1024  # asked of the kernel for what waits while the process does not run
+
+
+def shared_address(addresses: Sequence[str]) -> str:
+    """The address of the one socket for the datagrams of several links, ``HOST:PORT``.
+
+    It is that of the first link to another machine, so one port more is to be opened in a firewall. Where all are of
+    this machine, it is that of the first.
+
+    Args:
+        addresses: where the links are bound; empty for one that no other machine reaches. ``*`` is any free port.
+    """
+    here = f"{LOOPBACK}:"
+    bound = [address for address in addresses if address]
+    return next((one for one in bound if not one.startswith(here)), bound[0] if bound else f"{here}*")
 
 
 class DatagramSocket:
