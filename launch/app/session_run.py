@@ -29,7 +29,9 @@ def run_session(prepared: Prepared, console: Console, ways: Reach, options: Star
     Raises:
         RecordingError, TargetError, OSError: a file cannot be written.
     """
-    title = f"{prepared.session.name} ({options.clock}, {ways.transport}), certificate {prepared.id[:16]}"
+    speed, unit = prepared.loop.speed, prepared.loop.units()("m/s")
+    below = "" if speed is None else f" below {speed:g} {unit}"
+    title = f"{prepared.session.name} ({options.clock}, {ways.transport}), certificate {prepared.id[:16]}{below}"
     about = describe(prepared, options.clock, ways.transport, options.ticks, ways.remote, ways.seats)
     with LiveTable(console, title, about) as table:
         outcome = run_prepared(prepared, ways, options, show=table)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from io import StringIO
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -65,3 +67,30 @@ def test_every_file_that_cannot_be_written_is_reported(tmp_path: Path, monkeypat
             tmp_path / "no" / "r.npz", tmp_path / "none" / "r.json", tmp_path / "kept", Console(file=shown)
         )
     assert ": No such file or directory" in shown.getvalue().replace("\n", " ")
+
+
+class Titled:
+    """In place of the live table: the titles that it was given."""
+
+    titles: ClassVar[list[str]] = []
+
+    def __init__(self, _console: Console, title: str, _about: object) -> None:
+        self.titles.append(title)
+        self.announced: tuple[str, ...] = ()
+
+    def __enter__(self) -> Titled:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+
+def test_a_certificate_that_holds_below_a_speed_says_so_with_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(session_run, "LiveTable", Titled)
+    monkeypatch.setattr(session_run, "run_prepared", lambda *_, **__: OUTCOME)
+    prepared = prepare(load_session(SESSIONS / "example1-uncoupled.yaml"), uncertified=True)
+    for speed in (None, 0.3):
+        of = replace(prepared, loop=replace(prepared.loop, speed=speed))
+        session_run.run_session(of, Console(file=StringIO()), IPC, StartOptions("simulated", 1))
+    at_every, below = Titled.titles
+    assert below == f"{at_every} below 0.3 m/s"
