@@ -142,8 +142,12 @@ def check_model(
         found.add(probe, first, second, T)
     yield Judgement(EXCEPTION, Conformance.KEPT, f"no answer failed in {len(found.durations)} ticks")
     yield _duration(found.durations, T)
-    yield _sign(found.pressed)
-    yield _level(found.needed, found.worst, level) if stiffness is None else _held(found.held, found.touched)
+    if found.touched:
+        yield _sign(found.pressed)
+        yield _level(found.needed, found.worst, level) if stiffness is None else _held(found.held, found.touched)
+    else:
+        text = f"no motion of up to {reach:g} m met a force; --reach tries further ones"
+        yield from (Judgement(check, Conformance.OPEN, text) for check in (SIGN, LEVEL if stiffness is None else HELD))
     yield _repeated(found.repeated)
 
 

@@ -58,6 +58,14 @@ def test_a_spring_and_a_damper_keep_everything() -> None:
         assert broken(findings(make, level=0.0)) == []
 
 
+def test_a_world_that_no_probe_has_met_is_not_judged() -> None:
+    found = {one.check: one for one in findings(lambda: lambda x_e, k: -500.0 * np.maximum(x_e - 0.5, 0.0))}
+    for check in (SIGN, LEVEL):
+        assert found[check].verdict is Conformance.OPEN
+        assert found[check].text == "no motion of up to 0.02 m met a force; --reach tries further ones"
+    assert broken(found.values()) == []
+
+
 def test_the_level_that_the_probes_need_is_that_of_a_negative_damper() -> None:
     """Its ledger falls by b w^T w T in every tick; its spring, asked at the newest position, burns k T / 2 of it."""
     (found,) = (finding for finding in findings(lambda: damper(-0.3)) if finding.check == LEVEL)
