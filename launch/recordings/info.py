@@ -171,8 +171,8 @@ class _InfoReader:
 
     def _begin(self, recorded: Recorded) -> None:
         self._recorded, self._away = recorded, Away(recorded)
-        world = next(name for name, role in recorded.roles.items() if role is Role.ENVIRONMENT)
-        self._world = topic_name(recorded.session, world, TELEMETRY)
+        worlds = [name for name, role in recorded.roles.items() if role is Role.ENVIRONMENT]
+        self._world = topic_name(recorded.session, worlds[0], TELEMETRY) if worlds else ""
         sample = next(topic.name for topic in topics_of(Role.DEVICE) if topic.trace == DISPLACEMENT)
         self._devices = {
             topic_name(recorded.session, device, sample): (device, Coverage()) for device in recorded.devices
