@@ -38,7 +38,7 @@ def test_a_ball_joint_at_which_a_tool_swings_is_named(found: dict[str, object]) 
     assert engine_lines(Session.from_dict(swinging(found))) == [SAID]
 
 
-@pytest.mark.parametrize("name", ["insert", "stretcher", "mujoco", "example1"])
+@pytest.mark.parametrize("name", ["insert", "stretcher", "screw", "mujoco", "example1"])
 def test_nothing_is_said_of_shipped_sessions(name: str) -> None:
     assert engine_lines(load_named(name, [])) == []
 
