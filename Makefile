@@ -173,13 +173,15 @@ identify: $(VENV)/.installed
 
 # hands that turn violently, and worlds that propose anything, against the law of orientations; half an hour. Then hostile
 # hands of six axes in MuJoCo, 120,000 ticks: two minutes. Then 500 sessions with such devices in wall time, within the
-# certified delay and far beyond: ten minutes
+# certified delay and far beyond: ten minutes. Then a god-object and a midpoint body beside it, in the hands of the same:
+# six minutes
 MOTIONS ?= 100000
 THROWN  ?= 120000
 orientation: $(VENV)/.installed
 	$(BIN)/python -m benchmarks.orientation --motions $(MOTIONS) --seed $(SEED)
 	$(BIN)/python -m tests.deterministic.turned --ticks $(THROWN) --seed $(SEED)
 	$(BIN)/python -m tests.deterministic.late_turns --sessions 500 --seed $(SEED)
+	$(BIN)/python -m benchmarks.orientation_peers --markdown docs/decisions/0054-orientation.md
 
 # the environment's step with two tools of six axes and ten contacts, in MuJoCo; exits 1 above 500 us at p99: a minute
 six-axes: $(VENV)/.installed

@@ -12,7 +12,6 @@ Energies are in k rad^2, on SE(3) in J of a spring of 1 N/m. The exit code is 1 
 from __future__ import annotations
 
 import argparse
-import math
 import sys
 import time
 from collections.abc import Callable
@@ -21,7 +20,7 @@ from functools import partial
 
 import numpy as np
 
-from manyhands.nodes.kernel.orientation import UPRIGHT, Quaternion, between, difference, torque
+from manyhands.nodes.kernel.orientation import UPRIGHT, Quaternion, torque
 from tests.support.turning import (
     SUBSTEPS,
     Array,
@@ -35,6 +34,7 @@ from tests.support.turning import (
     violent,
 )
 from tests.support.turning_arm import Arm, L, curvature
+from tests.support.turning_peers import geodesic, in_a_hole
 
 ROUNDING = 1e-12
 BATCH = 250
@@ -76,14 +76,6 @@ def worst(delay: int) -> tuple[float, float]:
     return found[0], found[1]
 
 
-def geodesic(R: Quaternion, Q: Quaternion) -> tuple[float, float, float]:
-    """-theta u, the torque of a spring along the shortest turn."""
-    w, x, y, z = difference(R, Q)
-    sine = math.sqrt(x * x + y * y + z * z)
-    factor = -2.0 * math.atan2(sine, abs(w)) * math.copysign(1.0, w) / max(sine, 1e-300)
-    return (factor * x, factor * y, factor * z)
-
-
 def untested(
     motions: Motions, proposed: Proxies, spring: Callable[[Quaternion, Quaternion], tuple[float, float, float]]
 ) -> Array:
@@ -99,18 +91,9 @@ def untested(
     return found
 
 
-def in_a_cone(i: int, k: int, R: Quaternion, Q: Quaternion) -> Quaternion:
-    """The nearest orientation whose axis is within 20 degrees of the vertical: a tool in a hole."""
-    w, x, y, z = R
-    tilt = 2.0 * math.atan2(math.hypot(x, y), math.hypot(w, z))
-    most = math.radians(20.0)
-    if tilt <= most:
-        return R
-    # R is a tilt about a horizontal axis after a twist about the vertical one; the twist stays, and the tilt is less
-    size = math.hypot(w, z)
-    twist = Quaternion(w / size, 0.0, 0.0, z / size) if size > 0.0 else UPRIGHT
-    tilted = between(UPRIGHT, difference(R, twist), most / tilt)
-    return difference(tilted, Quaternion(twist.w, 0.0, 0.0, -twist.z))
+def hole(i: int, k: int, R: Quaternion, Q: Quaternion) -> Quaternion:
+    """The nearest orientation that a hole allows to a tool."""
+    return in_a_hole(R)
 
 
 def peers(delay: int, seed: int) -> dict[tuple[str, str], float]:
@@ -118,7 +101,7 @@ def peers(delay: int, seed: int) -> dict[tuple[str, str], float]:
     rng = np.random.default_rng([seed, delay, 3])
     hands = violent(rng, 4 * BATCH, TICKS, delay)
     found, b = {}, bound(hands.latest)
-    for world, proposed in (("a hole", in_a_cone), ("one that jumps", hostile(rng, 4 * BATCH, TICKS))):
+    for world, proposed in (("a hole", hole), ("one that jumps", hostile(rng, 4 * BATCH, TICKS))):
         for law, exerted in (
             ("tested, chordal", torques(hands, proposed)[0]),
             ("not tested, chordal", untested(hands, proposed, partial(torque, 1.0))),

@@ -35,6 +35,7 @@ from manyhands.launch.app.design_report import (
 from manyhands.launch.files import EXIT_INTERRUPTED, EXIT_NOT_CERTIFIED, EXIT_OK, TargetError, require_target
 from manyhands.launch.look.display import could_help, say
 from manyhands.launch.output import print_json
+from manyhands.launch.plan.engine import engine_lines
 from manyhands.launch.plan.feel import feel_lines
 from manyhands.launch.plan.loop import haptic_loop
 from manyhands.launch.plan.remedies import with_remedies
@@ -88,7 +89,7 @@ def run_design(
         The exit code.
     """
     files = {} if output is None else {only: output} if only else part_files(session, output)
-    for line in unstated_times(session):
+    for line in (*unstated_times(session), *engine_lines(session)):
         say(err, line)
     several, objects = bool(session.wave_links), dict[str, Any]()
     if several and pictures is not None:

@@ -24,7 +24,7 @@ from manyhands.launch.doctor.colocation import Where, settle_colocation
 from manyhands.launch.doctor.profile import Profile, drop_profile, outlived
 from manyhands.launch.doctor.rates import certified_lines
 from manyhands.launch.look.display import say
-from manyhands.launch.plan.engine import require_engine
+from manyhands.launch.plan.engine import engine_lines, require_engine
 from manyhands.launch.plan.feel import feel_lines, network_lines
 from manyhands.launch.plan.hosts import by_hand, hosts_of, require_hosts_alone
 from manyhands.launch.plan.keys import Keys, load_folder, make_keys
@@ -286,7 +286,8 @@ def announce(
     if options.clock == REALTIME and measurable:
         for line in certified_lines(prepared, settled.session, settled.profile, time.time()):
             say(console, line)
-    for line in (*feel_lines(session, prepared.certificates), *network_lines(session, options.clock)):
+    engine = () if ENVIRONMENT in options.remote else engine_lines(session)
+    for line in (*feel_lines(session, prepared.certificates), *network_lines(session, options.clock), *engine):
         say(console, line)
     if form.reason:
         say(console, f"{session.name}: {form.reason}")

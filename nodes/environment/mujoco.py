@@ -41,7 +41,11 @@ A mass on a spring with a force held for T is unstable from K T^2/m = 4 on; this
 
 
 class MujocoEngine:
-    """An :class:`manyhands.nodes.environment.model.Engine` that steps a MuJoCo model."""
+    """An :class:`manyhands.nodes.environment.model.Engine` that steps a MuJoCo model.
+
+    Attributes:
+        advice: a sentence on each part of the model that works, and not well.
+    """
 
     def __init__(self, ports: tuple[str, ...], period: float, parameters: Mapping[str, Any]) -> None:
         """Read the model, and stand at its start.
@@ -90,8 +94,10 @@ class MujocoEngine:
         self._start = self._data.qpos[self._places].copy()
         self._require_inertias(parameters["tools"], kinds, parameters["stiffness"], period)
         self._avatars = [self._id("JOINT", name) for name in parameters.get("avatars", ())]
+        self.advice: list[str] = []
         for joint, k in zip(self._avatars, parameters.get("avatar_stiffness", ()), strict=True):
             self._require_avatar(joint, k, period)
+            self.advice += self._advise(joint, k, period)
         self._avatar_bodies = [int(model.jnt_bodyid[joint]) for joint in self._avatars]
         self._upright = [Quaternion(*self._data.xquat[body].tolist()) for body in self._avatar_bodies]
 
@@ -161,6 +167,25 @@ class MujocoEngine:
                 f"found an avatar of {inertia:.3g} kg·m² about its lightest axis at the ball joint {name!r}; expected "
                 f"at least {least:.3g} kg·m² for a stiffness of {k:g} N·m/rad"
             )
+
+    def _advise(self, joint: int, k: float, period: float) -> list[str]:
+        """Advise a greater damping of a ball joint at which the avatar swings up by itself.
+
+        A torque that is held for T is T/2 old on average, and so takes k T/2 of the joint's damping. MuJoCo's
+        semi-implicit steps of dt give back half a step's worth of it; those of Runge and Kutta do not. Just above that
+        a swing lasts, and with k T it is gone soon.
+        """
+        model, mujoco = self._model, self._mujoco
+        found = float(model.dof_damping[model.jnt_dofadr[joint]])
+        explicit = model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4
+        age = period if explicit else period - float(model.opt.timestep)
+        if found >= 0.5 * k * age * (1.0 - 1e-9):  # both are products of rounded decimals
+            return []
+        name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, joint)
+        return [
+            f"found a damping of {found:.3g} N·m·s/rad at the ball joint {name!r}, by which its tool swings up by "
+            f"itself beside a hand that holds still; expected {k * period:.3g} N·m·s/rad (k T) or more"
+        ]
 
     def turn(self, torques: Vector) -> None:
         """Turn the avatars by these torques over the next step, N·m, three numbers in the world's axes for each."""

@@ -94,6 +94,17 @@ def test_the_stretcher_is_drawn_and_both_wrists_roll(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
+def test_the_screw_is_drawn_and_goes_in_by_its_pitch(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    said = run("screw.py", tmp_path)
+    assert (tmp_path / "screw.png").read_bytes().startswith(PNG)
+    found = re.fullmatch(r"screw\.png: (\S+) mm deep by (\S+) turns; the wrist felt up to (\d+) mN·m\n", said)
+    assert found, said
+    assert abs(float(found[1]) - 2.0 * float(found[2])) < 0.02
+    assert 45 < int(found[3]) < 80  # 61 here: an engine's digits may change with its version
+
+
+@pytest.mark.long
 def test_the_order_curve_begins_as_the_page_shows_it(tmp_path: Path) -> None:
     """The first two rows; `tests/system/test_design_docs.py` designs the third, and the others take minutes."""
     said = run("order_curve.py", tmp_path, "--orders", "0", "1")
@@ -137,6 +148,7 @@ def test_no_example_is_left_out() -> None:
         "puck.py",
         "relief.py",
         "scenes.py",
+        "screw.py",
         "stretcher.py",
         "stroke.py",
         "tightness.py",

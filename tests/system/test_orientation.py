@@ -117,7 +117,7 @@ def test_in_real_time_its_account_is_kept_however_late_it_is(
 
 @pytest.mark.alone
 @pytest.mark.long
-@pytest.mark.parametrize(("name", "ticks"), [("insert", 5000), ("stretcher", 4600)])
+@pytest.mark.parametrize(("name", "ticks"), [("insert", 5000), ("stretcher", 4600), ("screw", 7000)])
 def test_in_real_time_the_shipped_tools_turn_as_they_are_to(name: str, ticks: int, tmp_path: Path) -> None:
     """By hands that go by the clock, however late their torques are."""
     path = tmp_path / "run.mcap"
@@ -129,6 +129,10 @@ def test_in_real_time_the_shipped_tools_turn_as_they_are_to(name: str, ticks: in
         depth = masses[:, 5] + 0.025 - (masses[:, 2] - 0.035)
         assert np.nanmax(depth[:2400]) < 0.001  # m: on the rim until it is wiggled
         assert np.nanmedian(depth[4600:]) == pytest.approx(0.04, abs=5e-4)
+    elif name == "screw":
+        turned = -np.unwrap(2.0 * np.arctan2(turned[:, 7], turned[:, 4])) / (2.0 * np.pi)
+        assert np.nanmedian(-masses[6700:, 5]) > 5e-4  # m, by at least two strokes,
+        assert np.nanmedian(-masses[6700:, 5]) == pytest.approx(0.002 * np.nanmedian(turned[6700:]), abs=1e-5)
     else:
         assert np.nanmedian(masses[1500:3000, 2]) > 0.02  # m: carried,
         assert np.nanmedian(masses[4400:, 2]) == pytest.approx(0.006, abs=5e-4)  # and put down

@@ -26,7 +26,8 @@ TICKS = 730  # no multiple of the ticks between two telemetry messages
 LIFTED = 2270  # likewise: the gripper has closed by then, and lifts the cube
 ENTERED = 2770  # likewise: the peg has been turned, and has found its hole
 ROLLED = 1690  # likewise: one wrist has rolled the stretcher, and with it the other
-ENGINES = {"mujoco": TICKS, "gripper": LIFTED, "insert": ENTERED, "stretcher": ROLLED}
+DRIVEN = 1530  # likewise: the driver has turned the screw
+ENGINES = {"mujoco": TICKS, "gripper": LIFTED, "insert": ENTERED, "stretcher": ROLLED, "screw": DRIVEN}
 
 DISC = """
 class Disc:
@@ -84,7 +85,10 @@ def long(name: str) -> object:
 
 @pytest.mark.parametrize(
     "name",
-    ["lift", "mujoco", "gripper", "insert", *map(long, ("stretcher", "carry", "rub", "peg", "tray", "puck", "plate"))],
+    [
+        *("lift", "mujoco", "gripper", "insert", "screw"),
+        *map(long, ("stretcher", "carry", "rub", "peg", "tray", "puck", "plate")),
+    ],
 )
 def test_processes_simulation_replay_and_audit_agree_to_the_last_bit(name: str, tmp_path: Path) -> None:
     """Scenes, engines, a model that is asked for forces, and one that is asked for positions."""
@@ -124,7 +128,10 @@ def test_processes_simulation_replay_and_audit_agree_to_the_last_bit(name: str, 
         assert abs(run.traces["peg", "torque"].values[2500:, 2]).max() > 0.005  # N·m: the hole holds it
     if name == "stretcher":
         assert run.traces["back", "account"].values[-1, 2] > 1e-4  # J: granted to the wrist that only holds
-    if name in ("insert", "stretcher"):
+    if name == "screw":
+        felt = run.traces["driver", "torque"].values[:, 2]
+        assert 0.005 < 1.1 * felt[1200:1250].mean() < felt[-50:].mean()  # N·m: it is harder to turn the deeper it is
+    if name in ("insert", "stretcher", "screw"):
         assert {row.promise: row.state for row in done.promises}["orientation account"] == "kept"
     unchecked = {check.party for check in done.checks if check.verdict is not CheckVerdict.HOLDS}
     assert unchecked == ({"environment"} if foreign else set())

@@ -40,6 +40,7 @@ from manyhands.launch.app.design_report import print_report
 from manyhands.launch.app.risks import warn_of_code
 from manyhands.launch.files import claimed
 from manyhands.launch.look.display import progress_bar, say, world_lines
+from manyhands.launch.plan.engine import engine_lines
 from manyhands.launch.plan.feel import network_lines
 from manyhands.launch.plan.reach import Listen
 from manyhands.launch.recordings.formats import RUN_SUFFIXES, STREAMED, SUFFIXES
@@ -124,7 +125,7 @@ def simulate(
         for name, link in simulation.links.items():
             if (impedance := loaded.impedance_of(name)) is not None and ticks:
                 say(out, link.felt(impedance, loaded.kinds_of(name)).sentence(name, over=True))
-        for line in network_lines(loaded, SIMULATED):
+        for line in (*network_lines(loaded, SIMULATED), *engine_lines(loaded)):
             say(err, line)
         world, parties = simulation.environment, tuple(simulation.couplings)
         tables = energy_tables(world.energy, parties) | contact_tables(world.held, world.chatter, parties)

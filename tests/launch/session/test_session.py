@@ -63,6 +63,7 @@ def test_the_shipped_sessions() -> None:
         "example2-linear": "example-2-linear",
         "peg": "peg",
         "rub": "rub",
+        "screw": "screw",
         "steering": "steering",
         "stretcher": "stretcher",
         "stroke": "stroke",

@@ -142,10 +142,11 @@ def test_a_start_makes_the_engine_once_and_another_model_is_made_anew(monkeypatc
         return make_model(name, *rest)
 
     monkeypatch.setattr(engine, "make_model", count)
-    engine._drawing.cache_clear()
+    engine._tried.cache_clear()
     session = load_named("mujoco", ["design={coupling: given, stiffness: 900, damping: 0.2}"])
     engine.require_engine(session)
     assert drawing_of(session.with_delay(0.0)) == drawing_of(session)
+    assert engine.engine_lines(session) == []
     assert len(made) == 1
     assert made[0] == session.foreign_code["environment.model"]
     drawing_of(load_named("mujoco", ["period=0.002", "design={coupling: given, stiffness: 900, damping: 0.2}"]))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from manyhands.nodes.kernel.orientation import (
     angle,
     difference,
     product,
+    torque,
     turned_by,
 )
 from manyhands.protocol.clock import Instant
@@ -228,9 +230,9 @@ def test_a_hand_that_feels_nothing_leads_its_tool() -> None:
 
 
 def test_a_tool_has_a_torque_with_a_power_or_neither() -> None:
-    for torque, power in ((None, 1.0), (0.1, None), (0.1, 0.0), (math.nan, 1.0)):
+    for most, power in ((None, 1.0), (0.1, None), (0.1, 0.0), (math.nan, 1.0)):
         with pytest.raises(ValueError, match="expected"):
-            OrientedTool("p", K, torque, power)
+            OrientedTool("p", K, most, power)
     for k in (0.0, math.inf):
         with pytest.raises(ValueError, match="stiffness"):
             SensedPart(k, PART.source)
@@ -313,6 +315,44 @@ def test_an_engine_whose_avatars_have_no_orientation_ends_the_session(found: Any
 def test_an_avatar_that_cannot_be_turned_is_refused(model: str, why: str) -> None:
     with pytest.raises(FactoryError, match=why):
         engine(model)
+
+
+def swing(of: MujocoEngine, k: float, ticks: int = 6000) -> float:
+    """By how much the avatar's swing grows beside a hand that holds still, from its first 50 ticks to its last ones."""
+    of._data.qvel[3:] = (0.1, 0.2, 0.05)
+    angles = []
+    for _ in range(ticks):
+        A = Quaternion(*of.avatars())
+        of.turn(-np.array(torque(k, UPRIGHT, A)))
+        of.step(np.zeros(3), np.zeros(3))
+        angles.append(angle(A, UPRIGHT))
+    return max(angles[-ticks // 10 :]) / max(angles[:50])
+
+
+@pytest.mark.parametrize("k", [K, 0.50077])
+@pytest.mark.parametrize("integrator", ["implicitfast", "RK4"])
+def test_a_ball_joint_at_which_a_tool_swings_up_is_named_with_a_damping_at_which_it_does_not(
+    k: float, integrator: str
+) -> None:
+    def with_damping(damping: str) -> MujocoEngine:
+        model = text(SLIDES + BALL.replace("0.0005", damping)).replace("implicitfast", integrator)
+        return engine(model, k=k)
+
+    of = with_damping("0.00005")
+    (said,) = of.advice
+    form = r"found a damping of 5e-05 N·m·s/rad at the ball joint 'turn', .*; expected (\S+) N·m·s/rad \(k T\) or more"
+    found = re.fullmatch(form, said)
+    assert found is not None
+    assert swing(of, k, 600) > 5.0
+    helped = with_damping(found[1])
+    assert helped.advice == []
+    assert swing(helped, k) < 0.9
+
+
+def test_nothing_is_advised_where_a_step_as_long_as_the_period_swings_no_tool_up() -> None:
+    of = engine(text(SLIDES + BALL.replace("0.0005", "0")).replace('timestep="0.0005"', 'timestep="0.001"'))
+    assert of.advice == []
+    assert swing(of, K) < 1.01
 
 
 def test_a_turn_after_another_is_their_product() -> None:

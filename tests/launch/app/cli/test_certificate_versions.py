@@ -33,8 +33,8 @@ NO_MORE = "found a certificate of format version 2, which manyhands 0.6.0 is the
 SESSIONS = ROOT / "launch" / "sessions"
 UNCOUPLED = "example1-uncoupled"  # cannot be certified
 NEWER = {  # 0.6.0 did not have them
-    "ball", "carry", "gripper", "handover", "insert", "mujoco", "peg", "rub", "steering", "stretcher", "stroke",
-    "tray",
+    "ball", "carry", "gripper", "handover", "insert", "mujoco", "peg", "rub", "screw", "steering", "stretcher",
+    "stroke", "tray",
 }  # fmt: skip
 NAMES = [*sorted({path.stem for path in SESSIONS.glob("*.yaml")} - {UNCOUPLED} - NEWER), "puck"]
 
