@@ -49,6 +49,7 @@ def slept(session: str, sleeper: str, duration: int, seed: int = 1) -> Simulated
     return world
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seconds", [0.5, 5.0, 60.0])
 @pytest.mark.parametrize("sleeper", ["environment", "c", "d"])
 def test_who_slept_blames_nobody(monkeypatch: pytest.MonkeyPatch, sleeper: str, seconds: float) -> None:

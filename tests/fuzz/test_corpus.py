@@ -55,6 +55,7 @@ def test_the_corpus_stays_small() -> None:
     assert sum(path.stat().st_size for path in FILES) <= MOST_BYTES
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("harness", seeds.CHECKS)
 def test_replaying_the_corpus_holds_on_to_nothing(harness: str) -> None:
     """What a frame leaves behind would add up: the second time costs no memory that the first did not."""

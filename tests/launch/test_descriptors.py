@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ALONE = Path(__file__).parents[1] / "deterministic/alone.yaml"
 
 
@@ -23,6 +25,7 @@ def limited(soft: int, hard: int, *arguments: str | Path) -> subprocess.Complete
     )
 
 
+@pytest.mark.long
 def test_a_session_that_would_need_more_is_refused(tmp_path: Path) -> None:
     most = 16
     launch = ("-m", "manyhands", "launch", ALONE, "--clock", "simulated", "--duration", "0.1")

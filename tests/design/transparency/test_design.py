@@ -257,6 +257,7 @@ def test_stiffest_and_feasible(problems: Any) -> None:
             assert least * limit < static <= most * limit * (1.0 + 1e-6)
 
 
+@pytest.mark.long
 @settings(max_examples=12)
 @given(st.data())
 def test_a_richer_basis_is_never_worse(problems: Any, data: st.DataObject) -> None:
@@ -340,6 +341,7 @@ def one_port_design(aim: Transparency, order: int, progress: Any = None, seed: i
     return design
 
 
+@pytest.mark.long
 def test_the_search_moves_poles_and_is_repeatable() -> None:
     first, again = (one_port_design(SHAPING, 3, seed=5) for _ in range(2))
     assert first.gamma == again.gamma

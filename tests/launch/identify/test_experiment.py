@@ -75,6 +75,7 @@ def test_a_device_whose_damping_is_great_beside_its_mass_is_found() -> None:
     assert 0.9 < damping.low <= 1.0 <= damping.high < 1.1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("power", [1.5, 2.0, 3.0])
 def test_of_drag_alone_nothing_is_stated(power: float) -> None:
     drag = 0.3 / 0.25 ** (power - 1.0)
@@ -86,6 +87,7 @@ def test_of_drag_alone_nothing_is_stated(power: float) -> None:
     assert at_pose.found.friction[0].low <= 0.05
 
 
+@pytest.mark.long
 def test_a_delay_that_the_driver_denies_makes_a_false_answer_or_none() -> None:
     """So the delay is used: a planted fault in the driver's statement is a fault in the answer."""
     truth = 0.05

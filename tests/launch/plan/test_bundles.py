@@ -91,6 +91,7 @@ IN_SPACE = (
 )
 
 
+@pytest.mark.long
 def test_a_certified_run_with_friction_of_which_no_account_can_be_kept_is_refused(tmp_path: Path) -> None:
     run = RunPlan("simulated", tmp_path, "")
     slow = ("devices.d.limits={force: 1, speed: 0.1, displacement: 0.01}", "devices.d.friction={least: 0.2}")
@@ -135,6 +136,7 @@ def test_the_account_of_a_driver_counts_friction_below_a_speed_by_the_step_of_it
                 dataclasses.replace(bundle.source, step=(1e-5, 1e-5))
 
 
+@pytest.mark.long
 def test_the_joints_of_a_simulated_linkage_burn_their_friction_and_the_certificate_is_the_one_without(
     tmp_path: Path,
 ) -> None:

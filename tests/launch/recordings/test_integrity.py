@@ -76,6 +76,7 @@ def test_a_recording_without_any_telemetry_is_sound(tmp_path: Path) -> None:
     assert examined(tmp_path / "run.mcap", core.cut() + core.end()) == []
 
 
+@pytest.mark.long
 def test_every_changed_byte_is_located_to_its_chunk_or_record(tmp_path: Path) -> None:
     whole, path = recording(ticks=4, each=2, recorded=ALONE), tmp_path / "run.mcap"
     draw = random.Random(20)

@@ -74,6 +74,7 @@ def at_rest(m: int) -> Intention:
     return Intention([0.0] * m, [0.0] * m)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("m", [1, 2, 3])
 @given(data=st.data(), part=st.integers(1_000, TICK))
 @settings(max_examples=40, deadline=None)

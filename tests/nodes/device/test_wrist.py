@@ -33,6 +33,7 @@ def about(axis: tuple[float, ...], far: float) -> Quaternion:
     return turned_by(UPRIGHT, [far * part for part in axis])
 
 
+@pytest.mark.long
 @given(axes, st.floats(-3.1, 3.1), st.sampled_from([1e-4, 1e-3, 0.01]), st.floats(0.1, 100.0))
 def test_a_turn_to_a_goal_does_not_overshoot_and_is_as_fast_as_allowed(
     axis: tuple[float, ...], far: float, period: float, speed: float

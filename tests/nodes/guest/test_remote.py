@@ -175,6 +175,7 @@ def replaced(text: str, at: tuple[Any, ...], value: Any) -> str:
     return json.dumps(data)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", NAMES)
 def test_whatever_stands_in_a_bundle_it_is_read_or_refused(name: str, machine: Path) -> None:
     """Every value replaced by one of every other kind: BundleError or a node, and nothing else on the way to either."""
