@@ -440,7 +440,7 @@ class _AuditRun:
             let_go=let_go,
             stopped=grown_in(figures, names.SUSPENDED, len(x)),
             unexerted=changed_after(figures, names.UNEXERTED),
-            work=rows_of(run, name, WORK) if wall and bundle.held is not None else None,
+            work=rows_of(run, name, WORK) if wall and bundle.held is not None and bundle.held.works else None,
         )
         device = (FollowedInWallTime if wall else FollowedInOwnTime)(
             bundle, lambda: hand_of(bundle, self._session, run.recorded.clock), rows, guarded
