@@ -110,7 +110,7 @@ from manyhands.launch.session.rate import rate_motion
 from manyhands.nodes.device.motion_sources import MOTION_SOURCES
 from manyhands.nodes.kernel.bundle import WALL, RateMotion
 from manyhands.nodes.kernel.buttons import Script
-from manyhands.nodes.kernel.driver_statement import FELT, SENSED, DeviceTiming, DriverWord
+from manyhands.nodes.kernel.driver_statement import FELT, JOINED, SENSED, DeviceTiming, DriverWord
 from manyhands.nodes.kernel.factory import DRIVERS
 from manyhands.nodes.kernel.inertia import Inertia
 from manyhands.nodes.kernel.words import counted
@@ -712,8 +712,15 @@ class Device(SessionModel):
         timing, least = self.timing, None if self.friction is None else self.friction.least
         return DriverWord(
             self.factory, timing.sample_age, timing.actuation_delay, self.step, least, self.holds_torques,
-            self.by_itself or (), "" if self.orientation is None else SENSED if self.orientation.sensed else FELT,
+            self.by_itself or (), self._turns,
         )  # fmt: skip
+
+    @property
+    def _turns(self) -> str:
+        """What the driver's word says of its orientation."""
+        if self.orientation is None:
+            return ""
+        return SENSED if self.orientation.sensed else JOINED if self.twists else FELT
 
     @property
     def osp_low(self) -> Rows:
