@@ -114,19 +114,18 @@ class OrientationSpecification:
         """
         if torque is None or speed is None:
             return
+        sensed = "orientation: found a torque; expected sensed: true"
         if self.holds == TOOL:
-            yield (
-                "orientation: found a torque; expected sensed: true, for its motors hold it in the tool's axes, of "
-                "which nothing is proved"
-            )
+            yield f"{sensed}, for its motors hold it in the tool's axes, of which nothing is proved"
+        elif self.torque is None:
+            none = "no motor turns its device" if self.holds == WORLD else "its driver exerts none by its joints"
+            yield f"{sensed}, for {none}"
         elif self.holds == JOINTS and not twisting:
             yield (
-                "orientation: found a torque; expected sensed: true, or held: torque and linkage: {kappa, length} of "
-                "all six directions, for its motors hold it as torques of joints"
+                f"{sensed}, or held: torque and linkage: {{kappa, length}} of all six directions, for its motors hold "
+                "it as torques of joints"
             )
         if self.torque is None:
-            if self.holds != TOOL:
-                yield "orientation: found a torque; expected sensed: true, for no motor turns its device"
             return
         for what, found, most, unit in (("torque", torque, self.torque, "N·m"), ("speed", speed, self.speed, "rad/s")):
             if found > most * (1.0 + ROUNDING):
