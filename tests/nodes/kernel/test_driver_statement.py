@@ -53,7 +53,7 @@ def test_motors_that_hold_torques_hold_no_force() -> None:
 
 
 def test_joints_that_hold_force_and_torque_together_tell_no_work() -> None:
-    found = word(torques=True, turns=JOINED).believed(measured=False)
+    found = DriverWord(FACTORY, torques=True, turns=JOINED).believed(measured=False)
     assert not any("work" in one or "about axes at rest" in one or "at the tip" in one for one in found)
     assert "how these bend in all six directions" in found
     text = " ".join(PAGE.read_text(encoding="utf-8").split())
