@@ -56,7 +56,7 @@ from manyhands.nodes.device.wrist import Wrist
 from manyhands.nodes.kernel.arithmetic import Floats
 from manyhands.nodes.kernel.bundle import WALL, DeviceBundle, OrientationPart, PersonHand, SensedPart, SimulatedHand
 from manyhands.nodes.kernel.buttons import Buttons, scripted
-from manyhands.nodes.kernel.orientation import NO_RIDER
+from manyhands.nodes.kernel.orientation import NO_RIDER, Quaternion, angle
 from manyhands.nodes.kernel.passivity import Ledger
 from manyhands.nodes.kernel.timeouts import longest_hold
 from manyhands.nodes.rows.two_port import Row
@@ -105,6 +105,7 @@ class DeviceTick(ABC):
         done: the work of motors that hold torques until the sample of the last tick, and from then until its force, J;
             NaN where it is not known. Empty for others.
         orientation: its orientation, with the torque if it has one; None where that is no port.
+        recorded_turn: how it was turned in the tick, in place of what its driver tells; None for that.
     """
 
     interface: DeviceInterface | None = None
@@ -144,6 +145,10 @@ class DeviceTick(ABC):
         self._covered = CoveredHolds(common.period, from_seconds(bundle.timing.latency)) if twisting else None
         self._left = bundle.levels if twisting else None  # what they leave of Delta_D, by rung
         self._rung = bundle.rungs[0]
+        self.recorded_turn: Quaternion | None = None
+        self._turned: Quaternion | None = None  # at the row of the tick before, and when that was
+        self._turned_at = Instant(0)
+        self._turning = bundle.orientation.speed if isinstance(bundle.orientation, OrientationPart) else math.inf
         # of a driver of another package that exerts a torque, too
         own = bundle.orientation
         felt = isinstance(own, OrientationPart) and own.source is None
@@ -197,6 +202,14 @@ class DeviceTick(ABC):
     def _together(self) -> bool:
         """Whether a torque ends with its force."""
         return self._wrench is not None or self._covered is not None
+
+    def _turns_too_fast(self, now: Quaternion) -> bool:
+        """Whether it has turned to ``now`` since the row of the tick before at more than its greatest speed."""
+        before, since = self._turned, self._turned_at
+        self._turned, self._turned_at = now, self._row_at
+        if before is None:
+            return False
+        return angle(before, now) > self._turning * ((self._row_at - since) * 1e-9 + self._jitter) * _EQUAL
 
     def _exert_now(self, f: Floats, at: Instant, until: Instant | None) -> Sequence[float] | None:
         """Exert f (N), and the orientation's torque where the driver exerts one; returns as :meth:`Driver.apply`."""
@@ -385,7 +398,9 @@ class WallTimeTick(DeviceTick):
             self.wall_interface.given.leaves()
         ratio = 1.0
         if self._covered is not None and isinstance(self.orientation, DeviceOrientation):
-            latest = self._covered.until(self._row_at, at, self._rung, self.orientation.rung)
+            latest = None  # beyond its greatest speeds, all that it is given is outside the claim
+            if not self._turns_too_fast(self.recorded_turn or self.orientation.R):
+                latest = self._covered.until(self._row_at, at, self._rung, self.orientation.rung)
             if latest is None:
                 self.wall_interface.withhold()
                 held, until, ratio = self._zero, None, 0.0

@@ -230,6 +230,21 @@ def test_a_pair_that_comes_late_does_not_act_and_none_acts_longer(bundle: Device
     assert tick._covered.withheld == 1
 
 
+def test_a_device_that_turns_faster_than_its_limit_lets_go_of_its_force_as_well(bundle: DeviceBundle) -> None:
+    """Its speeds bound what its joints give out beyond force and torque."""
+    driver = Linked(OF, np.zeros((2, 6)), 1.0)
+    tick = tick_of(bundle, driver)  # type: ignore[arg-type]
+    for k, rate in enumerate((0.0, 0.9, 1.1, 0.0)):
+        driver.knots = driver.knots + np.array([0.0, 0.0, 0.0, rate * TURNING * T, 0.0, 0.0])
+        tick.sample(k, Instant(k * MS))
+        tick.exert([1.0, 0.0, 0.0], Instant(k * MS), came=NO_RIDER)
+        tick.book()
+        assert bool(any(tick.held)) == (k != 2)
+        assert driver.holds[-1][3].any() == (k != 2)
+    assert isinstance(tick._covered, CoveredHolds)
+    assert tick._covered.withheld == 0
+
+
 def test_a_driver_that_measures_and_acts_late_is_counted_with_that(bundle: DeviceBundle) -> None:
     covered = CoveredHolds(T, Duration(150_000))
     rung = bundle.rungs[0]
