@@ -19,11 +19,7 @@ from manyhands.protocol.clock import Duration, Instant, from_seconds
 
 
 class CoveredHolds:
-    """The rule above, for one device in wall time.
-
-    Attributes:
-        withheld: the pairs that did not act because they came too late.
-    """
+    """The rule above, for one device in wall time."""
 
     def __init__(self, T: float, latency: Duration) -> None:
         """Begin without a pair.
@@ -34,7 +30,6 @@ class CoveredHolds:
         """
         self._T, self._latency = T, latency
         self._acted: Instant | None = None  # from when the last pair acted, by the device's calls
-        self.withheld = 0
 
     def until(self, sampled: Instant, at: Instant, *rungs: DeviceRung) -> Instant | None:
         """Until when a pair acts that was sampled at ``sampled`` and comes at ``at``; None where it does not act.
@@ -48,7 +43,6 @@ class CoveredHolds:
         longest = min(from_seconds(self._T * (1.0 + rung.period_tolerance)) for rung in rungs)
         overtakes = self._acted is not None and self._acted + self._latency > sampled
         if at - sampled + self._latency > tau or overtakes:
-            self.withheld += 1
             return None
         self._acted = at
         return Instant(sampled + longest + tau - self._latency)

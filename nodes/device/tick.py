@@ -393,14 +393,15 @@ class WallTimeTick(DeviceTick):
         self, asked: Floats, at: Instant, recorded: Floats | None = None, came: Sequence[float] = NO_RIDER
     ) -> Floats:
         """Exert what limits and account allow, or the recorded force."""
-        held, until = self.wall_interface.force(asked, self.guard.clip(asked), at)
+        within, ratio = self.guard.clip(asked), 1.0
+        turning = self.orientation if isinstance(self.orientation, DeviceOrientation) else None
+        if self._covered is not None and turning is not None and self._turns_too_fast(self.recorded_turn or turning.R):
+            within, ratio = self._zero, 0.0  # beyond its greatest speeds, all that it is given is outside the claim
+        held, until = self.wall_interface.force(asked, within, at)
         if self.guard.leaving:
             self.wall_interface.given.leaves()
-        ratio = 1.0
-        if self._covered is not None and isinstance(self.orientation, DeviceOrientation):
-            latest = None  # beyond its greatest speeds, all that it is given is outside the claim
-            if not self._turns_too_fast(self.recorded_turn or self.orientation.R):
-                latest = self._covered.until(self._row_at, at, self._rung, self.orientation.rung)
+        if self._covered is not None and turning is not None and ratio:
+            latest = self._covered.until(self._row_at, at, self._rung, turning.rung)
             if latest is None:
                 self.wall_interface.withhold()
                 held, until, ratio = self._zero, None, 0.0
