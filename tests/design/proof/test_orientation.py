@@ -23,7 +23,7 @@ from manyhands.launch.app.budget import budget_object, orientation_limits, print
 from manyhands.launch.app.design_report import print_certificate
 from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.session import Session
-from tests.support.slot import sensed, session, slot
+from tests.support.slot import joined, sensed, session, slot
 
 
 @pytest.fixture(scope="module")
@@ -105,10 +105,7 @@ def test_one_that_is_sensed_is_written_and_read_back_and_shown(tmp_path: Path) -
 @pytest.fixture(scope="module")
 def twisted() -> dict[str, Any]:
     """Of a device whose joints hold force and torque together."""
-    data = slot(design={"coupling": "spring-damper", "tau": 0.0002})
-    data["devices"]["pen"] |= {"held": "torque", "linkage": {"kappa": 10.0, "length": 0.05}}
-    data["devices"]["pen"]["limits"] = {"force": 4, "speed": 0.5}
-    certificate = prepare(Session.from_dict(data), None).certificate
+    certificate = prepare(Session.from_dict(joined()), None).certificate
     assert certificate is not None
     return json.loads(json.dumps({**content(certificate), "id": certificate.id}))
 
@@ -167,10 +164,8 @@ def test_kinematics_beside_a_length_are_refused(twisted: dict[str, Any]) -> None
 
 
 def test_a_spring_for_which_joints_leave_too_little_is_refused(twisted: dict[str, Any]) -> None:
-    data = slot(design={"coupling": "spring-damper", "tau": 0.0002})
+    data = joined(stiffness=1.2)
     pen = data["devices"]["pen"]
-    pen |= {"held": "torque", "linkage": {"kappa": 10.0, "length": 0.05}, "limits": {"force": 4, "speed": 0.5}}
-    pen["orientation"]["stiffness"] = 1.2
     with pytest.raises(Infeasible, match=r"of which torques of its joints take 0\.000\d+, allows at delays of 0\.2 ms"):
         mh.certify(Session.from_dict(data))
     pen["linkage"]["kappa"] = 60.0
@@ -182,9 +177,7 @@ def test_a_spring_for_which_joints_leave_too_little_is_refused(twisted: dict[str
 
 
 def test_it_is_read_back_and_its_budget_counts_the_joints(twisted: dict[str, Any], tmp_path: Path) -> None:
-    data = slot(design={"coupling": "spring-damper", "tau": 0.0002})
-    data["devices"]["pen"] |= {"held": "torque", "linkage": {"kappa": 10.0, "length": 0.05}}
-    data["devices"]["pen"]["limits"] = {"force": 4, "speed": 0.5}
+    data = joined()
     certificate = mh.certify(Session.from_dict(data))
     save(certificate, tmp_path / "slot.json")
     read, _ = load(tmp_path / "slot.json")
