@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from manyhands.nodes.device.covered import CoveredHolds
 from manyhands.nodes.device.drivers import driver_of
 from manyhands.nodes.device.orientation import DeviceOrientation
 from manyhands.nodes.device.tick import DeviceTick, tick_of
-from manyhands.nodes.kernel.bundle import REALTIME, SIMULATED, DeviceBundle
+from manyhands.nodes.kernel.bundle import REALTIME, SIMULATED, DeviceBundle, OrientationPart, SensedPart
 from manyhands.nodes.kernel.factory import FactoryError
 from manyhands.nodes.kernel.orientation import NO_RIDER, UPRIGHT, Quaternion, turned_by
 from manyhands.protocol.clock import Duration, Instant, from_seconds
@@ -268,3 +269,16 @@ def test_the_driver_says_that_joints_hold_its_torque_and_need_not_tell_work(cloc
     del other["devices"]["pen"]["linkage"]
     with pytest.raises(FactoryError, match=r"or held: torque and linkage: \{kappa, length\} of all six directions"):
         driver_of(bundle_of(other, clock))
+
+
+def test_a_bundle_whose_joints_cannot_be_paid_for_is_refused(bundle: DeviceBundle) -> None:
+    assert bundle.held is not None
+    assert isinstance(bundle.orientation, OrientationPart)
+    sensed = SensedPart(0.3, None)
+    for changes, found in (
+        ({"orientation": None}, "expected a torque of an orientation"),
+        ({"orientation": sensed}, "expected a torque of an orientation"),
+        ({"orientation": replace(bundle.orientation, osp=1e-5)}, "leave nothing of an orientation's osp"),
+    ):
+        with pytest.raises(ValueError, match=found):
+            replace(bundle, **changes)  # type: ignore[arg-type]
