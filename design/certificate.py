@@ -477,7 +477,7 @@ def device_of(name: str, data: Mapping[str, Any], index: Mapping[str, int], mech
     step, friction = (tuple(map(float, data[key])) if key in data else None for key in ("step", "friction"))
     turning = tuple(index[p] for p in data["turning"]) if "turning" in data else None
     ports = tuple(index[p] for p in data["ports"])
-    orientation = orientation_of(data["orientation"]) if "orientation" in data else None
+    orientation = orientation_of(data["orientation"], held) if "orientation" in data else None
     return DeviceLevel(name, ports, matrix(data["osp"]), held, step, friction, turning, orientation)
 
 

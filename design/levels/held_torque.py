@@ -16,6 +16,11 @@ the sample and the force (docs/decisions/0050-held-torques.md has the proof):
 
 The path l is at most that of one hold and of the delay before it, at the limit of speed: v (lambda T + tau). A device
 that moves faster is outside the claim.
+
+**Of six axes** where the motors hold the torque of an orientation as well. A turn counts by a length L: a twist by
+sqrt(|v|^2 + L^2 |omega|^2), m/s, and a wrench by sqrt(|f|^2 + |m|^2/L^2), N. F, v and kappa are in these norms, kappa
+being the greatest |dJ/dt J^-1| of a twist of 1 m/s. Then d is taken of Delta_D, and L^2 d of what the orientation burns
+(docs/decisions/0054-orientation.md).
 """
 
 from __future__ import annotations
@@ -39,28 +44,39 @@ class HeldTorque:
 
     Attributes:
         kappa: how much its tip's path bends where the joints move evenly, 1/m: the greatest over all poses and
-            directions.
-        force: F, the greatest |f|, N.
-        speed: v, the greatest speed of its tip, m/s.
+            directions. Of six axes the greatest change of J per way, in the norm with L.
+        force: F, the greatest |f|, N; of six axes the greatest wrench.
+        speed: v, the greatest speed of its tip, m/s; of six axes the greatest twist.
         linkage: its kinematics as plain data, of which kappa is proved; None where kappa is believed.
+        length: L, m/rad, by which turns count; None where the motors hold no torque of an orientation.
 
     Raises:
-        ValueError: a number is not finite, or not greater than 0.
+        ValueError: a number is not finite, or not greater than 0, or kinematics stand beside a length.
     """
 
     kappa: float
     force: float
     speed: float
     linkage: Mapping[str, Any] | None = None
+    length: float | None = None
 
     def __post_init__(self) -> None:
-        for name in ("kappa", "force", "speed"):
+        for name in ("kappa", "force", "speed", *(() if self.length is None else ("length",))):
             if not 0.0 < getattr(self, name) < math.inf:
                 raise ValueError(f"{name}: found {getattr(self, name)}; expected a finite number greater than 0")
+        if self.length is not None and self.linkage is not None:
+            raise ValueError("found kinematics beside a length; expected kappa alone, for none of six axes is known")
+
+    @property
+    def works(self) -> bool:
+        """Whether a device's account rests on the work of its motors: of six axes it needs none."""
+        return self.length is None
 
     def describe(self) -> dict[str, Any]:
         """As plain data, which :func:`held_torque_of` reads."""
         out: dict[str, Any] = {"kappa": self.kappa, "force": self.force, "speed": self.speed}
+        if self.length is not None:
+            out["length"] = self.length
         return out if self.linkage is None else out | {"linkage": dict(self.linkage)}
 
     def stiffness(self, T: float, tau: float, period_tolerance: float) -> Fraction | None:
@@ -81,6 +97,17 @@ class HeldTorque:
         if K_geo is None:
             return math.inf
         exact = K_geo * ((1 + Fraction(period_tolerance)) * Fraction(T) + 3 * Fraction(tau)) / 2
+        rounded = float(exact)
+        return rounded if Fraction(rounded) >= exact else math.nextafter(rounded, math.inf)
+
+    def turning(self, T: float, tau: float, period_tolerance: float) -> float:
+        """L^2 d, N*m*s/rad, rounded up: what is taken of an orientation's damping; 0 where no torque of it is held."""
+        if self.length is None:
+            return 0.0
+        d = self.damping(T, tau, period_tolerance)
+        if not math.isfinite(d):
+            return math.inf
+        exact = Fraction(self.length) ** 2 * Fraction(d)
         rounded = float(exact)
         return rounded if Fraction(rounded) >= exact else math.nextafter(rounded, math.inf)
 
@@ -109,9 +136,11 @@ def held_torque_of(data: Mapping[str, Any]) -> HeldTorque:
     Raises:
         KeyError, TypeError, ValueError: a key is missing or unknown, or its value is none.
     """
-    if unknown := set(data) - {"kappa", "force", "speed", "linkage"}:
-        raise ValueError(f"held: found the keys {sorted(unknown)}; expected kappa, force, speed, and perhaps linkage")
+    if unknown := set(data) - {"kappa", "force", "speed", "linkage", "length"}:
+        expected = "kappa, force, speed, and perhaps linkage or length"
+        raise ValueError(f"held: found the keys {sorted(unknown)}; expected {expected}")
     linkage = data.get("linkage")
     if linkage is not None and not isinstance(linkage, Mapping):
         raise ValueError("held: linkage: expected an object")
-    return HeldTorque(float(data["kappa"]), float(data["force"]), float(data["speed"]), linkage)
+    length = float(data["length"]) if "length" in data else None
+    return HeldTorque(float(data["kappa"]), float(data["force"]), float(data["speed"]), linkage, length)

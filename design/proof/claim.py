@@ -574,6 +574,7 @@ class HeldTorqueData:
         force: F, N.
         speed: v, m/s.
         linkage: the kinematics that prove kappa; None where kappa is believed.
+        length: L, m/rad, by which turns count where the torque of an orientation is held as well; None elsewhere.
         stated: the plain data of kappa and kinematics, by which equal ones are proved once.
     """
 
@@ -581,6 +582,7 @@ class HeldTorqueData:
     force: fmpq
     speed: fmpq
     linkage: LinkageData | None
+    length: fmpq | None
     stated: str
 
 
@@ -791,13 +793,16 @@ def read(data: Mapping[str, Any]) -> Claim:
 
 
 def _held(item: Item, m: int) -> HeldTorqueData:
-    fields = item.fields(("kappa", "force", "speed"), ("linkage",))
+    fields = item.fields(("kappa", "force", "speed"), ("linkage", "length"))
     kappa, force, speed = (exact_decimal(fields[key].number()) for key in ("kappa", "force", "speed"))
     linkage = read_linkage(fields["linkage"]) if "linkage" in fields else None
     if linkage is not None and len(linkage.low) != m:
         raise fields["linkage"].refusal(f"a linkage whose tip has the {m} axes of its device")
+    length = exact_decimal(fields["length"].number()) if "length" in fields else None
+    if linkage is not None and length is not None:
+        raise fields["linkage"].refusal("none beside a length: no kinematics of six axes are known")
     stated = json.dumps([fields["kappa"].value, fields["linkage"].value]) if linkage is not None else ""
-    return HeldTorqueData(kappa, force, speed, linkage, stated)
+    return HeldTorqueData(kappa, force, speed, linkage, length, stated)
 
 
 def _orientation(item: Item, m: int) -> OrientationData:

@@ -99,6 +99,8 @@ def held_findings(claim: Claim) -> list[Finding]:
         turned = _turned(held, claim)
         holds = held.kappa > 0 and held.force > 0 and held.speed > 0 and turned < 2
         condition = f"{device.name} holds torques: kappa, F and v > 0, kappa v (lambda T + tau) < 2"
+        if held.length is not None:
+            holds, condition = holds and held.length > 0, f"{condition}, L > 0"
         found.append(Finding(condition, holds, rational.rounded(2 - turned), 0.0, "", "exactly"))
         if holds and held.linkage is not None:
             if held.stated not in bending:
@@ -113,25 +115,32 @@ def held_findings(claim: Claim) -> list[Finding]:
 def orientation_findings(claim: Claim) -> list[Finding]:
     """Of each device with an orientation: what it burns pays for its spring's torque, held from tick to tick.
 
-    This is (3) of docs/decisions/0054-orientation.md, on all of SO(3). Torques that joints hold are not covered. Where
-    an orientation is sensed, no torque acts on the hand, and nothing has to be paid for.
+    This is (3) of docs/decisions/0054-orientation.md, on all of SO(3). Torques that joints hold take L^2 d of it first,
+    and without a length they are not covered; call this only where :func:`held_findings` hold. Where an orientation is
+    sensed, no torque acts on the hand, and nothing has to be paid for.
     """
     found = []
     half = ((1 + claim.period_tolerance) * claim.period + 3 * claim.tau) / 2
     for device, held, own in zip(claim.devices, claim.held, claim.orientation, strict=True):
+        if held is not None and held.length is not None and (own is None or own.osp is None):
+            # kappa is of turns as well there, and what they give out is paid by turning
+            condition = f"{device.name}, whose turns count by a length, burns by turning as well"
+            found.append(Finding(condition, False, float("nan"), 0.0, "", "it states no osp of an orientation"))
         if own is None:
             continue
         if own.osp is None:
             condition = f"the orientation of {device.name} is sensed, without a torque: k > 0, and nothing is needed"
             found.append(Finding(condition, own.stiffness > 0, rational.rounded(own.stiffness), 0.0, "", "exactly"))
             continue
-        spare = own.osp - own.stiffness * half
+        spare, less = own.osp - own.stiffness * half, ""
+        if held is not None and held.length is not None:
+            spare, less = spare - held.length**2 * held_damping(held, claim), " - L^2 d"
         holds = own.osp > 0 and own.stiffness > 0 and spare >= 0
-        condition = f"the orientation of {device.name}: b > 0, k > 0, k (lambda T + 3 tau)/2 <= b"
+        condition = f"the orientation of {device.name}: b > 0, k > 0, k (lambda T + 3 tau)/2 <= b{less}"
         found.append(Finding(condition, bool(holds), rational.rounded(spare), 0.0, "", "exactly"))
-        if held is not None:
+        if held is not None and held.length is None:
             condition = f"{device.name} holds the torque of its orientation itself, and not torques of joints"
-            found.append(Finding(condition, False, float("nan"), 0.0, "", "it has a linkage"))
+            found.append(Finding(condition, False, float("nan"), 0.0, "", "it has a linkage without a length"))
     return found
 
 
@@ -187,7 +196,9 @@ def device_findings(claim: Claim) -> list[Finding]:
     Different periods alone do not separate the devices: without a delay, the form needs only what they dissipate
     together, at least sigma^T Delta_D sigma/lambda.
     """
-    held = [*speed_findings(claim), *held_findings(claim), *orientation_findings(claim)]
+    held = [*speed_findings(claim), *held_findings(claim)]
+    if all(finding.holds for finding in held):
+        held += orientation_findings(claim)
     if not all(finding.holds for finding in held):
         return held
     m = len(claim.ports)

@@ -19,8 +19,9 @@ the library answers with old readings. The watchdog is set for each force, in st
 synchronous, so that a reading is no older than its call. A tick has two of them, a reading and new torques.
 
 **A wrist** is asked for its orientation where a session has that, which takes an exchange more. The motors of an active
-one would hold torques of its joints, of which nothing is proved beside an orientation
-(docs/decisions/0054-orientation.md). So no torque is ever exerted there: the orientation of any wrist is sensed.
+one would hold torques of its joints. What these give out is paid for where J of all six axes is known
+(docs/decisions/0054-orientation.md), and this driver has that of the delta alone. So no torque is ever exerted there:
+the orientation of any wrist is sensed.
 """
 
 from __future__ import annotations

@@ -513,8 +513,8 @@ def orientation_limits(loop: HapticLoop) -> list[tuple[str, float | None, float]
     found: list[tuple[str, float | None, float]] = []
     for device in loop.devices:
         if (of := device.orientation) is not None:
-            osp = of.osp
-            most = None if osp is None else stiffest(osp, loop.period, loop.tau, loop.period_tolerance, 0.0)
+            osp, times = of.osp, (loop.period, loop.tau, loop.period_tolerance)
+            most = None if osp is None else stiffest(osp, *times, 0.0, of.taken(*times))
             found.append((device.name, most, of.stiffness))
     return found
 

@@ -124,6 +124,8 @@ def held_text(loop: HapticLoop, device: DeviceLevel, held: HeldTorque) -> str:
     d, u = held.damping(loop.period, loop.tau, loop.period_tolerance), device.units
     least = float(np.linalg.eigvalsh(device.level)[0])
     proved = "believed" if held.linkage is None else "proved of its kinematics"
+    if held.length is not None:
+        proved = f"of all six directions {proved}, where a turn counts by {held.length:.4g} m/rad"
     return (
         f"{device.name}: {d:.4g} of {least:.4g} {u('N·s/m')}, up to {held.force:.4g} {u('N')} and "
         f"{held.speed:.4g} {u('m/s')}, curvature {held.kappa:.4g}/m {proved}"
@@ -137,10 +139,12 @@ def orientation_text(loop: HapticLoop, name: str, of: OrientationLevel) -> str:
             f"{name}: sensed; its tool follows it at k = {of.stiffness:.4g} N·m/rad, no torque acts on the hand, and "
             "nothing is needed"
         )
-    needed = float(of.needed(loop.period, loop.tau, loop.period_tolerance))
+    times = loop.period, loop.tau, loop.period_tolerance
+    needed, taken = float(of.needed(*times)), of.taken(*times)
+    leave = f", of which torques of its joints take {taken:.4g}" if taken else ""
     return (
         f"{name}: k = {of.stiffness:.4g} N·m/rad at the hand, on all of SO(3); its torque needs {needed:.4g} of "
-        f"{of.osp:.4g} N·m·s/rad"
+        f"{of.osp:.4g} N·m·s/rad{leave}"
     )
 
 

@@ -107,7 +107,7 @@ from manyhands.nodes.rows import figures as names
 from manyhands.nodes.rows.promises import Promise
 from manyhands.nodes.rows.tick_events import Kind, events_in
 from manyhands.nodes.wave_link.faces import wave_feedthrough
-from manyhands.protocol.channels import TANK_NAMES, WORK, WORK_NAMES
+from manyhands.protocol.channels import ORIENTATION, TANK_NAMES, WORK, WORK_NAMES
 from manyhands.protocol.clock import from_seconds
 from manyhands.protocol.messages import PromiseStatus
 from manyhands.protocol.plain import written
@@ -440,7 +440,8 @@ class _AuditRun:
             let_go=let_go,
             stopped=grown_in(figures, names.SUSPENDED, len(x)),
             unexerted=changed_after(figures, names.UNEXERTED),
-            work=rows_of(run, name, WORK) if wall and bundle.held is not None else None,
+            turned=rows_of(run, name, ORIENTATION) if wall and bundle.twisting is not None else None,
+            work=rows_of(run, name, WORK) if wall and bundle.held is not None and bundle.held.works else None,
         )
         device = (FollowedInWallTime if wall else FollowedInOwnTime)(
             bundle, lambda: hand_of(bundle, self._session, run.recorded.clock), rows, guarded

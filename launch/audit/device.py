@@ -40,6 +40,7 @@ from manyhands.nodes.device.tick import DeviceTick, OwnTimeTick, WallTimeTick
 from manyhands.nodes.device.wall_time import LONGEST_GAP
 from manyhands.nodes.kernel.arithmetic import Floats
 from manyhands.nodes.kernel.bundle import DeviceBundle
+from manyhands.nodes.kernel.orientation import Quaternion
 from manyhands.nodes.monitor.given import FIGURES
 from manyhands.nodes.rows import figures as names
 from manyhands.protocol.channels import WORK
@@ -78,6 +79,7 @@ class DeviceRows:
         applied: likewise x at the instants a(k), ticks x axes, m; NaN where the device could not measure it.
         let_go: the tick from which on the device may have let go; None if it never did.
         stopped: by tick, whether its process may not have run for a while.
+        turned: how it was turned, ticks x 4; None where its orientation is no port.
         unexerted: the tick from which on its hardware may have exerted other forces than it was given; None if it
             never did.
         work: of motors that hold torques, until s(k) and from then until a(k), ticks x 2, J; None for others.
@@ -91,6 +93,7 @@ class DeviceRows:
     let_go: int | None
     stopped: NDArray[np.bool_]
     unexerted: int | None = None
+    turned: Array | None = None
     work: Array | None = None
 
 
@@ -241,6 +244,8 @@ class FollowedInWallTime(FollowedDevice):
             self._release(happened.released, ended, applied)
         if happened.jumped:
             tick.skipped()
+        if rows.turned is not None:
+            tick.recorded_turn = Quaternion(*rows.turned[k].tolist())
         exerted = self._exert(asked.tolist(), rows.f[k].tolist(), applied)
         if rung is not None:
             tick.change(rung)

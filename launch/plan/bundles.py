@@ -559,7 +559,7 @@ def _columns(session: Session, graph: Topology, name: str, clock: str) -> int:
         return 0
     ports, masses = graph.ports[name], session.environment.reported(session.ports)
     links = links_at(name, graph.nodes[name], graph.ports, session.wave_links)
-    wall, torques = session.in_wall_time(name, clock), session.holds_torques(name)
+    wall, torques = session.in_wall_time(name, clock), session.tells_work(name)
     oriented = session.environment.oriented
     hands = hands_at(name, graph.nodes[name], session.hands)
     sensed = session.sensed_hands

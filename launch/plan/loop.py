@@ -81,7 +81,8 @@ def device_level(session: Session, name: str, ports: tuple[int, ...], tau: float
     orientation = None
     if device.orientation is not None:
         k = session.orientation_stiffness(name, tau, session.period_tolerance)
-        orientation = OrientationLevel(device.orientation.osp, k)  # no osp where it is sensed
+        held = device.held_torque if device.twists else None
+        orientation = OrientationLevel(device.orientation.osp, k, held)  # no osp where it is sensed
     return DeviceLevel(name, ports, session.osp_level(name), device.held_torque, step, friction, turning, orientation)
 
 

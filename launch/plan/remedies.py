@@ -622,6 +622,8 @@ _KINDS: Final[tuple[Callable[[Session, dict[str, Any], str], Ways], ...]] = (
     _steadier,
     _held(_of_mechanism("limits.force", "a greatest force", "N")),
     _held(_of_mechanism("limits.speed", "a greatest speed", "m/s")),
+    _held(_of_mechanism("orientation.osp", "an orientation with an osp", "N·m·s/rad", up=True)),
+    _held(_of_mechanism("orientation.limits.torque", "a greatest torque", "N·m")),
     _of_mechanism("step", "a step of the encoder", "m"),
     _of_mechanism("friction.least", "a dry friction", "N", up=True),
     _at_every_speed,

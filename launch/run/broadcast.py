@@ -100,7 +100,7 @@ def describe(
                 session.own_periods.get(name),
                 session.impedance_of(name),
                 session.devices[name].word if name in session.devices else None,
-                session.holds_torques(name),
+                session.tells_work(name),
             )
             for name, role in graph.nodes.items()
         },

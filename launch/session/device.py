@@ -110,7 +110,7 @@ from manyhands.launch.session.rate import rate_motion
 from manyhands.nodes.device.motion_sources import MOTION_SOURCES
 from manyhands.nodes.kernel.bundle import WALL, RateMotion
 from manyhands.nodes.kernel.buttons import Script
-from manyhands.nodes.kernel.driver_statement import FELT, SENSED, DeviceTiming, DriverWord
+from manyhands.nodes.kernel.driver_statement import FELT, JOINED, SENSED, DeviceTiming, DriverWord
 from manyhands.nodes.kernel.factory import DRIVERS
 from manyhands.nodes.kernel.inertia import Inertia
 from manyhands.nodes.kernel.words import counted
@@ -386,8 +386,9 @@ _KAPPA: Final = Quantity("kappa", "1/m", above=0.0, smallest=MIN_POSITIVE)
 _JOINT_FRICTION: Final = PerAxis(Quantity("a friction", "N·m", above=0.0, smallest=MIN_POSITIVE))
 _NUMBERS: Final = list_of({"type": "number"}, 3)
 _POSES: Final = {"low": _NUMBERS, "high": _NUMBERS}
+_LENGTH: Final = Quantity("a length", "m/rad", above=0.0, smallest=MIN_POSITIVE, most=1e3)
 _LINKAGE_FORM: Final = either(
-    mapping_of({"kappa": _KAPPA.json_schema}),
+    mapping_of({"kappa": _KAPPA.json_schema}, {"length": _LENGTH.json_schema}),
     *(
         mapping_of(
             {"kind": {"enum": [kind]}, **parts, **_POSES},
@@ -399,6 +400,7 @@ _LINKAGE_FORM: Final = either(
         )
     ),
 )
+_UP: Final = 1.0 + 1e-12  # of a root of a sum of squares, which is rounded
 _SEARCHED: Final = 1.05
 """What a kappa is stated above the one that a search finds, so that a proof decides it."""
 
@@ -410,8 +412,10 @@ def _linkage(value: object, info: ValidationInfo) -> dict[str, Any]:
     out = dict(value)
     if "kappa" in out:
         out["kappa"] = _KAPPA(out["kappa"])
+    if "kind" not in out and "length" in out:
+        out["length"] = _LENGTH(out["length"])
     kinematics = _kinematics(out)
-    if kinematics is None and set(out) != {"kappa"}:
+    if kinematics is None and not {"kappa"} <= set(out) <= {"kappa", "length"}:
         raise refuse(f"a mapping with {listed(value)}", "{kappa: 18.8}, in 1/m, or a kind of kinematics as well")
     if kinematics is not None:
         try:
@@ -663,6 +667,10 @@ class Device(SessionModel):
         if self.linkage is None:
             return None
         force, speed = (math.nextafter(math.hypot(*own), math.inf) for own in (self.limits.force, self.limits.speed))
+        if self.twists and self.orientation is not None and self.orientation.limits is not None:
+            length, turning = self.linkage["length"], self.orientation.limits
+            wrench, twist = math.hypot(force, turning.torque / length), math.hypot(speed, turning.speed * length)
+            return HeldTorque(self.linkage["kappa"], _UP * wrench, _UP * twist, None, length)
         kinematics = self.kinematics
         kappa = self.linkage.get("kappa") or _kappa_of(json.dumps(kinematics))
         return HeldTorque(kappa, force, speed, kinematics)
@@ -671,6 +679,16 @@ class Device(SessionModel):
     def holds_torques(self) -> bool:
         """Whether its motors hold joint torques from tick to tick, in place of the force."""
         return self.linkage is not None
+
+    @property
+    def twists(self) -> bool:
+        """Whether they hold the torque of its orientation as well, so that a turn counts by a length."""
+        return "length" in (self.linkage or {})
+
+    @property
+    def tells_work(self) -> bool:
+        """Whether its account rests on the work of its motors, which it reports in wall time."""
+        return self.holds_torques and not self.twists
 
     @property
     def kinematics(self) -> dict[str, Any] | None:
@@ -694,8 +712,15 @@ class Device(SessionModel):
         timing, least = self.timing, None if self.friction is None else self.friction.least
         return DriverWord(
             self.factory, timing.sample_age, timing.actuation_delay, self.step, least, self.holds_torques,
-            self.by_itself or (), "" if self.orientation is None else SENSED if self.orientation.sensed else FELT,
+            self.by_itself or (), self._turns,
         )  # fmt: skip
+
+    @property
+    def _turns(self) -> str:
+        """What the driver's word says of its orientation."""
+        if self.orientation is None:
+            return ""
+        return SENSED if self.orientation.sensed else JOINED if self.twists else FELT
 
     @property
     def osp_low(self) -> Rows:
@@ -785,6 +810,12 @@ class Device(SessionModel):
             yield Problem(("held",), f"held: torque {here}", "held: force, for a recorded motion has no motors")
         if self.kinematics is not None:
             yield from self._linkage_problems(self.kinematics)
+        if self.twists and (self.orientation is None or self.orientation.sensed):
+            expected = "no length, or an orientation with a torque: only then do joints hold one"
+            yield Problem(("linkage", "length"), "a length of turns", expected)
+        if self.twists and self.friction is not None:
+            expected = "no friction: what it burns is counted nowhere beside torques of six axes"
+            yield Problem(("friction",), "friction beside a linkage with a length", expected)
         yield from self._friction_problems(here)
         yield from self._orientation_problems(here)
         if self.driver == "browser" and self.buttons is not None:
@@ -846,9 +877,12 @@ class Device(SessionModel):
                 " that turn" * bool(self.turning("d"))
             )
             yield Problem(at, found, f"{ORIENTED_DOF} axes that translate")
-        if self.held == _TORQUE and not self.orientation.sensed:
-            expected = "held: force: what torques of joints give out beside an orientation is proved nowhere yet"
-            yield Problem(at, "an orientation with held: torque", expected)
+        if self.held == _TORQUE and not self.orientation.sensed and self.linkage is not None and not self.twists:
+            expected = (
+                "linkage: {kappa: K, length: L} of all six directions, where a turn counts by L in m/rad, sensed: "
+                "true, or held: force"
+            )
+            yield Problem(at, "an orientation with held: torque, whose linkage has no length", expected)
 
     def _friction_problems(self, here: str) -> Iterator[Problem]:
         """A problem for each key of the friction that says what is burned where nothing burns it so."""

@@ -18,6 +18,7 @@ that is nearer to the hand. That end is a device (``dx/sample``, ``dx/force``) o
 ``cx/reaction``).
 """
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property, partial
 from itertools import islice
@@ -468,7 +469,21 @@ class Session(SessionModel):
             raise AssertionError(f"the orientation of {name} is no port")
         if own.stiffness is not None or own.osp is None:
             return own.stiffness or 0.0  # which a sensed orientation states always
-        return stiffest(own.osp, self.period_of(name), tau, period_tolerance)
+        times = self.period_of(name), tau, period_tolerance
+        taken = self.taken_of_orientation(name, tau, period_tolerance)
+        # where torques of joints leave nothing, a design says so
+        return stiffest(own.osp, *times, taken=taken) or stiffest(own.osp, *times)
+
+    def taken_of_orientation(self, name: str, tau: float, period_tolerance: float) -> float:
+        """What torques of a device's joints take of the damping of its orientation, N·m·s/rad; 0 where none are held.
+
+        Args:
+            name: of the device.
+            tau: the longest delay that is certified, s.
+            period_tolerance: rho; periods are at most (1 + rho) T.
+        """
+        held = self.devices[name].held_torque
+        return 0.0 if held is None else held.turning(self.period_of(name), tau, period_tolerance)
 
     def _orientation_problems(self) -> Iterator[Problem]:
         """A problem for each orientation that nothing turns, and for what it does not go with."""
@@ -486,6 +501,17 @@ class Session(SessionModel):
                 yield Problem(
                     at, f"an orientation, and no avatar for {name}", f"environment.avatars: {{{name}: JOINT}}"
                 )
+            osp, taken = getattr(self.devices[name].orientation, "osp", None), self.taken_of_orientation(name, 0.0, 0.0)
+            if osp is not None and not taken < osp:
+                found = f"{osp:g} N·m·s/rad"
+                if not math.isfinite(taken):
+                    yield Problem(at, found, "lower speeds: the tip may turn too far while torques are held")
+                else:
+                    expected = (
+                        f"more than the {taken:.4g} N·m·s/rad that torques of its joints may give out without any "
+                        "delay, or a lower greatest force or torque"
+                    )
+                    yield Problem((*at, "osp"), found, expected)
 
     def _colocation_problems(self) -> Iterator[Problem]:
         """A problem for each coupling of several devices: it receives the motion of all, so no device may run it."""
@@ -740,6 +766,10 @@ class Session(SessionModel):
     def holds_torques(self, node: str) -> bool:
         """Whether a node is a device whose motors hold torques from tick to tick, in place of the force."""
         return node in self.devices and self.devices[node].holds_torques
+
+    def tells_work(self, node: str) -> bool:
+        """Whether a node is a device that reports the work of its motors, where its time is the wall's."""
+        return node in self.devices and self.devices[node].tells_work
 
     def osp_level(self, device: str) -> Array:
         """Delta_D of a device, m_i x m_i, in N·s/m: the lower end, where the session gives an interval."""

@@ -169,10 +169,7 @@ class InterfaceAccount:
         self._reach = None if inertia is None else SpeedBound(inertia)
         self._friction = None if friction is None else list(friction)
         self._play = play
-        joins = bool(np.any(osp - np.diag(np.diag(osp))))
-        self._least: Floats = [float(np.linalg.eigvalsh(osp)[0])] * len(speed) if joins else np.diag(osp).tolist()
-        self._burned = linear_map(osp)
-        self._yields = linear_map(_inverse(osp))
+        self.burns(osp)
         zero = [0.0] * osp.shape[0]
         self.f, self.exerted = zero, zero
         self.until: Instant | None = None
@@ -185,6 +182,12 @@ class InterfaceAccount:
         self._moved: Floats | None = None  # w(k), until its answer
         self.broken: int | None = None
         self.change(promise, level)
+
+    def burns(self, osp: Matrix) -> None:
+        """Burn Delta_D of ``osp``, N*s/m, from now on; call this only before :meth:`change`."""
+        joins = bool(np.any(osp - np.diag(np.diag(osp))))
+        self._least: Floats = [float(np.linalg.eigvalsh(osp)[0])] * len(osp) if joins else np.diag(osp).tolist()
+        self._burned, self._yields = linear_map(osp), linear_map(_inverse(osp))
 
     def change(self, promise: DeviceShare, level: Matrix | None = None) -> None:
         """Promise a different level from now on; call this only where the last two forces are zero."""
@@ -556,8 +559,23 @@ class DeviceInterface:
         """The instant at which it ends by itself; None where it is held."""
         return self.account.until
 
-    def change(self, promise: DeviceShare, tau: float, tolerance: float) -> None:
-        """Follow a change of rung; call this only where the last two forces are zero."""
+    def withhold(self) -> None:
+        """The force of the tick, which :meth:`force` has decided, is not exerted: it came too late to act."""
+        self.ticks += not self._changed
+        self._changed = self._lowered = True
+
+    def change(self, promise: DeviceShare, tau: float, tolerance: float, osp: Matrix | None = None) -> None:
+        """Follow a change of rung; call this only where the last two forces are zero.
+
+        Args:
+            promise: kappa, share and c of the rung.
+            tau: the delay that it covers, s.
+            tolerance: the part of a period by which a period may be longer.
+            osp: Delta_D from now on, N*s/m; None for the same.
+        """
+        if osp is not None:
+            self._osp = osp
+            self.account.burns(osp)
         self.account.change(promise, self._left_by(tau, tolerance))
         self._tau, self._tolerance = tau, tolerance
 
@@ -838,10 +856,15 @@ class DeviceInterface:
 
 
 def interface_of(bundle: DeviceBundle) -> DeviceInterface:
-    """The interface of a device in wall time, at rest; a force is held until it is stale, and one period more."""
-    rung, T = bundle.rungs[0], bundle.common.period
+    """The interface of a device in wall time, at rest; a force is held until it is stale, and one period more.
+
+    What torques of six axes give out is paid for beside its account (:mod:`manyhands.nodes.device.covered`). So the
+    device counts as one that burns what they leave, and holds the force itself. Its stated inertia bounds no speed
+    then, for its tip is pushed by more than the force.
+    """
+    rung, T, twisting = bundle.rungs[0], bundle.common.period, bundle.twisting is not None
     return DeviceInterface(
-        bundle.osp,
+        bundle.levels[0] if twisting else bundle.osp,
         rung.share,
         rung.tau,
         rung.period_tolerance,
@@ -850,8 +873,8 @@ def interface_of(bundle: DeviceBundle) -> DeviceInterface:
         longest_hold(bundle.common),
         bundle.allowance,
         from_seconds(bundle.timing.latency),
-        bundle.inertia,
-        bundle.held,
+        None if twisting else bundle.inertia,
+        None if twisting else bundle.held,
         bundle.friction,
         bundle.measured,
     )

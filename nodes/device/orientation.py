@@ -32,6 +32,7 @@ import math
 from collections.abc import Sequence
 from typing import Final, Protocol
 
+from manyhands.design.levels.held_torque import HeldTorque
 from manyhands.nodes.device.wrist import Wrist
 from manyhands.nodes.kernel.allowance import LatenessAllowance
 from manyhands.nodes.kernel.arithmetic import Floats
@@ -262,6 +263,7 @@ class DeviceOrientation:
     Attributes:
         spring: the law, with its account.
         life: the number of this process, which is drawn where others may come before or after it.
+        rung: that of which its damping pays for the torque.
         R: the orientation of the last sample.
         came: what came for it with the last answer: a proposed proxy and a sum of grants; zeros for nothing.
         most: the greatest torque of the last tick, N*m.
@@ -280,6 +282,7 @@ class DeviceOrientation:
         longest: Duration | None = None,
         body: Turnable | None = None,
         timing: DeviceTiming = NO_DELAY,
+        held: HeldTorque | None = None,
     ) -> None:
         """Begin at rest, with the proxy at the device.
 
@@ -292,6 +295,7 @@ class DeviceOrientation:
                 where nothing is late.
             body: what its hand turns; the simulated one of its part unless given.
             timing: how late the device measures and acts, beside the loop.
+            held: how its motors hold the torque as torques of joints; None where they hold the torque itself.
 
         Raises:
             ValueError: neither a body nor a simulated one is there.
@@ -302,7 +306,7 @@ class DeviceOrientation:
             body = TurnedBody(part.source, T)
         self._body = body
         self._T, self._period, self._longest = T, from_seconds(T), longest
-        self._b, self._limit, self._speed = part.osp, part.torque, part.speed
+        self._limit, self._speed, self._joints = part.torque, part.speed, held
         self._fade = RAMP  # how many parts of the greatest torque it takes
         self._next: DeviceRung | None = None  # the rung that it changes to
         self._part = part
@@ -324,8 +328,17 @@ class DeviceOrientation:
         self._held_for = seconds(self._covered)  # how long the torque of the tick before was held, s
 
     def _take(self, rung: DeviceRung) -> None:
-        """Take the stiffness of a rung, and what its damping pays for."""
-        self._k = self._part.stiffness_at(rung)
+        """Take the stiffness of a rung, and what its damping pays for.
+
+        What pays for the torques of joints is no part of it. Beside the spring's torque they exert at most
+        L F (e^(kappa l) - 1) about the tip.
+        """
+        self.rung, self._k, self._b, self._beside = rung, self._part.stiffness_at(rung), self._part.osp, 0.0
+        if (held := self._joints) is not None and held.length is not None:
+            times = self._T, rung.tau, rung.period_tolerance
+            longest = held.speed * (self._T * (1.0 + rung.period_tolerance) + rung.tau)
+            self._b -= held.turning(*times)
+            self._beside = held.length * held.force * math.expm1(held.kappa * longest)
         T = self._T * (1.0 + rung.period_tolerance)
         self._tau: Duration = from_seconds(rung.tau)
         self._covered: Duration = from_seconds(T)
@@ -363,7 +376,7 @@ class DeviceOrientation:
         spring, acted, longest = self.spring, any(self.torque) or any(self._before), h + self._jitter
         before, self._held_for = self._held_for, seconds(Duration(min(longest, ended)))
         late = longest > self._covered or d > self._tau or d > h
-        fastest = self._speed + max(math.hypot(*self.torque), math.hypot(*self._before)) / self._b
+        fastest = self._speed + (max(math.hypot(*self.torque), math.hypot(*self._before)) + self._beside) / self._b
         burnt = self._b * far * far / seconds(Duration(longest))
         if acted:
             if late:

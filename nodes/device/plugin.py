@@ -548,8 +548,8 @@ def _require_oriented(bundle: DeviceBundle, driver: DeviceDriver, stated: Device
     for method in ("orientation", "apply_wrench")[: 1 if felt is None else 2]:
         if getattr(type(driver), method, None) in (None, getattr(DeviceDriver, method)):
             raise FactoryError(f"{at}: found the driver {name} without a method {method}; expected it to have one")
-    limits = (None, None) if felt is None else (felt.torque, felt.speed)
-    if found := list(stated.orientation.promises_too_much(*limits)):
+    torque, speed = (None, None) if felt is None else (felt.torque, felt.speed)
+    if found := list(stated.orientation.promises_too_much(torque, speed, bundle.twisting is not None)):
         raise FactoryError(f"{at}: the session promises more than its driver {name} states: {'; '.join(found)}")
 
 
@@ -579,7 +579,7 @@ def plugin_driver(device: PluginDevice, bundle: DeviceBundle) -> PluginDriver:
                 f"devices.{bundle.common.name}.held: found force; expected torque, for the driver {name} states that "
                 "the motors of its device hold torques"
             )
-        if bundle.held is not None and bundle.time == WALL and not made.tells_work:
+        if bundle.held is not None and bundle.held.works and bundle.time == WALL and not made.tells_work:
             raise FactoryError(
                 f"devices.{bundle.common.name}: found the driver {name} without a method work; expected the work of "
                 "its motors in J, for they hold torques, and the account of lateness rests on it"

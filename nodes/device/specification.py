@@ -61,7 +61,9 @@ ROUNDING = 1e-9
 
 
 WORLD: Final = "world"
-HOLDS: Final = (WORLD, "tool", "joints")
+TOOL: Final = "tool"
+JOINTS: Final = "joints"
+HOLDS: Final = (WORLD, TOOL, JOINTS)
 """In whose axes motors may hold a torque from tick to tick: the world's, the tool's, or as torques of joints."""
 
 
@@ -74,8 +76,9 @@ class OrientationSpecification:
         torque: the greatest torque about any axis, N*m, which the hardware can hold; None where no motor turns it, and
             its orientation is sensed alone.
         holds: in whose axes its motors hold the torque between two calls, one of :data:`HOLDS`. A session can use a
-            torque that is held in the world's axes alone, for nothing is proved of the others. So a driver of such
-            motors may state no torque, and exert none.
+            torque that is held in the world's axes. It can use one that is held as torques of joints where it states
+            how these bend in all six directions (``held: torque``, ``linkage: {kappa, length}``). Of the tool's axes
+            nothing is proved, so a driver of such motors may state no torque, and exert none.
 
     Raises:
         ValueError: a number is not finite and positive, or ``holds`` is none of them.
@@ -94,31 +97,35 @@ class OrientationSpecification:
 
     @property
     def felt(self) -> bool:
-        """Whether a session may have a torque of it."""
+        """Whether a session may have a torque of it, with no more than its limits."""
         return self.torque is not None and self.holds == WORLD
 
     def session_keys(self) -> dict[str, Any]:
         """The keys of a session's orientation that keep to it: the limits of a torque, or that it is sensed."""
         return {"limits": {"torque": self.torque, "speed": self.speed}} if self.felt else {"sensed": True}
 
-    def promises_too_much(self, torque: float | None, speed: float | None) -> Iterator[str]:
+    def promises_too_much(self, torque: float | None, speed: float | None, twisting: bool = False) -> Iterator[str]:
         """A sentence for each limit of a session's orientation that is beyond what is stated.
 
         Args:
             torque: the session's greatest, N*m; None where its orientation is sensed.
             speed: likewise, rad/s.
+            twisting: whether the session counts on torques of joints of six axes.
         """
         if torque is None or speed is None:
             return
-        if self.holds != WORLD:
-            held = "in the tool's axes" if self.holds == "tool" else "as torques of joints"
+        sensed = "orientation: found a torque; expected sensed: true"
+        if self.holds == TOOL:
+            yield f"{sensed}, for its motors hold it in the tool's axes, of which nothing is proved"
+        elif self.torque is None:
+            none = "no motor turns its device" if self.holds == WORLD else "its driver exerts none by its joints"
+            yield f"{sensed}, for {none}"
+        elif self.holds == JOINTS and not twisting:
             yield (
-                f"orientation: found a torque; expected sensed: true, for its motors hold it {held}, of which nothing "
-                "is proved"
+                f"{sensed}, or held: torque and linkage: {{kappa, length}} of all six directions, for its motors hold "
+                "it as torques of joints"
             )
         if self.torque is None:
-            if self.holds == WORLD:
-                yield "orientation: found a torque; expected sensed: true, for no motor turns its device"
             return
         for what, found, most, unit in (("torque", torque, self.torque, "N·m"), ("speed", speed, self.speed, "rad/s")):
             if found > most * (1.0 + ROUNDING):

@@ -39,6 +39,7 @@ from collections.abc import Sequence
 from typing import Final, Protocol, cast
 
 from manyhands.nodes.device.core import DeviceCore, Guard
+from manyhands.nodes.device.covered import CoveredHolds
 from manyhands.nodes.device.drivers import Driver
 from manyhands.nodes.device.interface import DeviceInterface, interface_of
 from manyhands.nodes.device.orientation import (
@@ -55,7 +56,7 @@ from manyhands.nodes.device.wrist import Wrist
 from manyhands.nodes.kernel.arithmetic import Floats
 from manyhands.nodes.kernel.bundle import WALL, DeviceBundle, OrientationPart, PersonHand, SensedPart, SimulatedHand
 from manyhands.nodes.kernel.buttons import Buttons, scripted
-from manyhands.nodes.kernel.orientation import NO_RIDER
+from manyhands.nodes.kernel.orientation import NO_RIDER, Quaternion, angle
 from manyhands.nodes.kernel.passivity import Ledger
 from manyhands.nodes.kernel.timeouts import longest_hold
 from manyhands.nodes.rows.two_port import Row
@@ -104,6 +105,7 @@ class DeviceTick(ABC):
         done: the work of motors that hold torques until the sample of the last tick, and from then until its force, J;
             NaN where it is not known. Empty for others.
         orientation: its orientation, with the torque if it has one; None where that is no port.
+        recorded_turn: how it was turned in the tick, in place of what its driver tells; None for that.
     """
 
     interface: DeviceInterface | None = None
@@ -117,7 +119,9 @@ class DeviceTick(ABC):
         self._first = True
         # of a driver of another package: what it really exerts of the force that it was given; it is held to its word
         self._exerted = driver.exerted if isinstance(driver, PluginDriver) else None
-        self._torques = bundle.held is not None  # its motors hold them, and their work is asked for
+        self._torques = (
+            bundle.held is not None and bundle.held.works
+        )  # its motors hold them, and their work is asked for
         simulated = bundle.inertia if isinstance(bundle.source, SimulatedHand) else None
         self._steps = simulated.step if simulated is not None and any(simulated.step) else None
         self.driver = driver
@@ -137,6 +141,14 @@ class DeviceTick(ABC):
         self.done: tuple[float, ...] = ()
         self._until_sampled = math.nan
         self.orientation = _orientation_of(bundle, driver)
+        twisting = bundle.twisting is not None and bundle.time == WALL
+        self._covered = CoveredHolds(common.period, from_seconds(bundle.timing.latency)) if twisting else None
+        self._left = bundle.levels if twisting else None  # what they leave of Delta_D, by rung
+        self._rung = bundle.rungs[0]
+        self.recorded_turn: Quaternion | None = None
+        self._turned: Quaternion | None = None  # at the row of the tick before, and when that was
+        self._turned_at = Instant(0)
+        self._turning = bundle.orientation.speed if isinstance(bundle.orientation, OrientationPart) else math.inf
         # of a driver of another package that exerts a torque, too
         own = bundle.orientation
         felt = isinstance(own, OrientationPart) and own.source is None
@@ -182,9 +194,22 @@ class DeviceTick(ABC):
             self._until_sampled = math.nan if work is None else work
             if interface.shortened:
                 self._exert_now(interface.exerted, at, interface.until)
-                if self.orientation is not None and self._wrench is not None and interface.until is not None:
+                if self._together and self.orientation is not None and interface.until is not None:
                     self.orientation.shorten(interface.until)
         return self.sent
+
+    @property
+    def _together(self) -> bool:
+        """Whether a torque ends with its force."""
+        return self._wrench is not None or self._covered is not None
+
+    def _turns_too_fast(self, now: Quaternion) -> bool:
+        """Whether it has turned to ``now`` since the row of the tick before at more than its greatest speed."""
+        before, since = self._turned, self._turned_at
+        self._turned, self._turned_at = now, self._row_at
+        if before is None:
+            return False
+        return angle(before, now) > self._turning * ((self._row_at - since) * 1e-9 + self._jitter) * _EQUAL
 
     def _exert_now(self, f: Floats, at: Instant, until: Instant | None) -> Sequence[float] | None:
         """Exert f (N), and the orientation's torque where the driver exerts one; returns as :meth:`Driver.apply`."""
@@ -258,9 +283,9 @@ class DeviceTick(ABC):
     def _row_of_orientation(self) -> Row:
         return () if self.orientation is None else self.orientation.row()
 
-    def _turn(self, came: Sequence[float], at: Instant, until: Instant | None = None) -> None:
+    def _turn(self, came: Sequence[float], at: Instant, until: Instant | None = None, ratio: float = 1.0) -> None:
         if self.orientation is not None:
-            self.orientation.exert(came, at, self.guard.ratio, None if self._wrench is None else until)
+            self.orientation.exert(came, at, self.guard.ratio * ratio, until if self._together else None)
 
     def _release_turn(self, at: Instant) -> None:
         if self.orientation is not None:
@@ -283,10 +308,11 @@ class DeviceTick(ABC):
 
     def change(self, rung: int) -> None:
         """Take the level and K of ``rung``; the last two forces are zero, so the ledger stays valid."""
-        of = self._rungs[rung]
+        self._rung = of = self._rungs[rung]
         self.core.change(*self._promises[rung])
         if self.interface is not None:
-            self.interface.change(of.share, of.tau, of.period_tolerance)
+            left = None if self._left is None else self._left[rung]
+            self.interface.change(of.share, of.tau, of.period_tolerance, left)
         if self.orientation is not None:
             self.orientation.change(self._rungs[rung])
 
@@ -367,11 +393,22 @@ class WallTimeTick(DeviceTick):
         self, asked: Floats, at: Instant, recorded: Floats | None = None, came: Sequence[float] = NO_RIDER
     ) -> Floats:
         """Exert what limits and account allow, or the recorded force."""
-        held, until = self.wall_interface.force(asked, self.guard.clip(asked), at)
+        within, ratio = self.guard.clip(asked), 1.0
+        turning = self.orientation if isinstance(self.orientation, DeviceOrientation) else None
+        if self._covered is not None and turning is not None and self._turns_too_fast(self.recorded_turn or turning.R):
+            within, ratio = self._zero, 0.0  # beyond its greatest speeds, all that it is given is outside the claim
+        held, until = self.wall_interface.force(asked, within, at)
         if self.guard.leaving:
             self.wall_interface.given.leaves()
+        if self._covered is not None and turning is not None and ratio:
+            latest = self._covered.until(self._row_at, at, self._rung, turning.rung)
+            if latest is None:
+                self.wall_interface.withhold()
+                held, until, ratio = self._zero, None, 0.0
+            else:
+                until = latest if until is None else min(latest, until)
         self.held = exerted = held if recorded is None else recorded
-        self._turn(came, at, until)
+        self._turn(came, at, until, ratio)
         self._moved = self._exert_now(exerted, at, until)
         self._asked, self._applied, self._until = asked, at, until
         return held
@@ -422,7 +459,7 @@ def _orientation_of(bundle: DeviceBundle, driver: Driver) -> Oriented | None:
     if isinstance(own, SensedPart):
         return SensedOrientation(body, T, bundle.time == WALL)
     longest = longest_hold(bundle.common) if bundle.time == WALL else None
-    return DeviceOrientation(own, T, bundle.rungs[0], bundle.allowance, longest, body, bundle.timing)
+    return DeviceOrientation(own, T, bundle.rungs[0], bundle.allowance, longest, body, bundle.timing, bundle.twisting)
 
 
 def _body_of(own: OrientationPart | SensedPart, bundle: DeviceBundle, driver: Driver) -> Turnable:

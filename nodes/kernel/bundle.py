@@ -598,11 +598,12 @@ class DeviceBundle:
         orientation: what it has of its orientation; None where that is no port.
 
     Raises:
-        ValueError: Delta_D is not symmetric positive definite with a row for each port, the axes of the source are not
-            the ports, those of the friction neither, friction counts on displacements that are measured to no known
-            step, the rungs' delays do not grow, the time is unknown, it is wall time under the simulated clock, the
-            held torques leave nothing of Delta_D at a rung, or it has an orientation and not three ports, or one that
-            nothing turns.
+        ValueError: torques of six axes are held beside no torque of an orientation, beside friction, or leave nothing
+            of what the orientation burns. Delta_D is not symmetric positive definite with a row for each port, the axes
+            of the source are not the ports, those of the friction neither, friction counts on displacements that are
+            measured to no known step, the rungs' delays do not grow, the time is unknown, it is wall time under the
+            simulated clock, the held torques leave nothing of Delta_D at a rung, or it has an orientation and not three
+            ports, or one that nothing turns.
     """
 
     common: Common
@@ -643,6 +644,12 @@ class DeviceBundle:
             raise ValueError(f"found a friction of {len(self.friction.least)} axes; expected {m}, one a port")
         if self.friction is not None and isinstance(self.source, PluginDevice) and self.source.step is None:
             raise ValueError("found friction and a driver of another package without a step; expected one an axis")
+        if self.twisting is not None and (
+            self.friction is not None or not isinstance(self.orientation, OrientationPart)
+        ):
+            raise ValueError(
+                "found torques of six axes; expected a torque of an orientation, and no friction that counts"
+            )
         _require_few_rungs(self.rungs)
         if not self.rungs:
             raise ValueError("found no rung; expected that of the certificate")
@@ -650,6 +657,21 @@ class DeviceBundle:
         if any(not a < b for a, b in pairwise(taus)):
             raise ValueError(f"found rungs for delays of {taus} s; expected them to grow")
         _ = self.levels
+        if not all(self.turning_osp(rung) > 0.0 for rung in self.rungs):
+            raise ValueError("found torques of six axes that leave nothing of an orientation's osp; expected a rest")
+
+    @property
+    def twisting(self) -> HeldTorque | None:
+        """How its motors hold force and torque together as torques of joints; None where they do not."""
+        return None if self.held is None or self.held.length is None else self.held
+
+    def turning_osp(self, rung: DeviceRung) -> float:
+        """What is left at a rung of an orientation's damping, N*m*s/rad; infinite where none exerts a torque."""
+        if not isinstance(self.orientation, OrientationPart):
+            return math.inf
+        if self.held is None:
+            return self.orientation.osp
+        return self.orientation.osp - self.held.turning(self.common.period, rung.tau, rung.period_tolerance)
 
     @property
     def timing(self) -> DeviceTiming:

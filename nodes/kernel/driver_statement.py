@@ -52,6 +52,8 @@ class DeviceTiming:
 
 SENSED: Final = "sensed"
 FELT: Final = "felt"
+JOINED: Final = "joined"
+"""Of an orientation whose torque joints hold together with the force."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +70,8 @@ class DriverWord:
         friction: what it burns at least, by axis, likewise, N; None where none is stated.
         torques: whether its motors hold joint torques from tick to tick, in place of the force.
         by_itself: what the session states that the device does by itself; its driver may state more.
-        turns: whether it tells its orientation: :data:`SENSED`, or :data:`FELT` with a torque; empty for none.
+        turns: whether it tells its orientation: :data:`SENSED`, :data:`FELT` with a torque, or :data:`JOINED` with one
+            that joints hold; empty for none.
     """
 
     factory: str
@@ -92,17 +95,21 @@ class DriverWord:
             found.append(f"the step of its encoder (at most {1e6 * max(self.step):g} µm)")
         if self.friction:
             found.append(f"its dry friction (at least {1e3 * min(self.friction):g} mN)")
-        if self.torques:
+        if self.turns == JOINED:
+            found += [
+                "that its motors hold force and torque as torques of joints, which it reads between sample and force",
+                "how these bend in all six directions",
+            ]
+        elif self.torques:
             found += ["that its motors hold joint torques of the stated linkage", "the work of these motors"]
         else:
             found.append("that it holds the force at the tip from tick to tick")
         if self.turns:
             found.append("its orientation")
+        if self.turns in (FELT, JOINED):
+            found.append("its damping in turning")
         if self.turns == FELT:
-            found += [
-                "its damping in turning",
-                "that it holds the torque that it was given, about axes at rest",
-            ]
+            found.append("that it holds the torque that it was given, about axes at rest")
         found.append("its own measurement of the force" if measured else "that it exerts the force that it was given")
         return tuple(found)
 

@@ -121,13 +121,30 @@ def _held(rng: Generator, data: Data) -> None:
     if rng.random() < 0.05:
         del device["held"]
         data["version"] = 4 if "period_tolerance" in data else 3
-    elif rng.random() < 0.7:
+    elif rng.random() < 0.7 or "linkage" not in device["held"]:
         held = device["held"]
-        key = str(rng.choice(["kappa", "force", "speed"]))
+        key = str(rng.choice([key for key in held if key != "linkage"]))
         held[key] = held[key] * factor(rng)
     else:
         linkage = device["held"]["linkage"]
         linkage["links"] = touched(rng, linkage["links"], False)
+
+
+def _orientation(rng: Generator, data: Data) -> None:
+    """What an orientation burns, its stiffness, that it is sensed, or a length by which turns count."""
+    device = data["devices"][_block(rng, data["devices"])]
+    own, held = device["orientation"], device.get("held", {})
+    what = str(rng.choice(["osp", "stiffness", "sensed", "length", "none"]))
+    if what in own:
+        own[what] = own[what] * factor(rng)
+    elif what == "sensed" and "osp" in own:
+        device["orientation"] = {"sensed": True, "stiffness": own["stiffness"]}
+    elif what == "length" and "length" in held and rng.random() < 0.7:
+        held["length"] *= factor(rng)
+    elif what == "length":
+        held.pop("length", None)
+    elif what == "none" and held:
+        del device["orientation"]
 
 
 def _mechanism(rng: Generator, data: Data) -> None:
@@ -324,6 +341,7 @@ CHANGES: dict[str, Callable[[Generator, Data], None]] = {
     "joined Phi_E": _joined_level,
     "osp": _osp,
     "held": _held,
+    "orientation": _orientation,
     "mechanism": _mechanism,
     "storage": _storage,
     "tau": _tau,
@@ -347,6 +365,7 @@ def applies(change: str, data: Data) -> bool:
     E = data["environment"]["type"]
     needs = {
         "mechanism": any({"step", "friction"} & device.keys() for device in data["devices"].values()),
+        "orientation": any("orientation" in device for device in data["devices"].values()),
         "held": any("held" in device for device in data["devices"].values()),
         "gamma": data["transparency"] is not None,
         "delay": E != "declared",

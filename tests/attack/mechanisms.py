@@ -2,7 +2,8 @@
 
 A device that holds torques has less of its level, and one with dry friction has more of it below a speed. What is left
 of each is exact in rationals, and stands in place of the osp in everything that the oracle does: the device of that
-level is what the rest of the certificate speaks of, and hands that are at that level shake it most.
+level is what the rest of the certificate speaks of, and hands that are at that level shake it most. What an orientation
+burns has to pay for its spring, and for what torques of six joints take of it.
 """
 
 from __future__ import annotations
@@ -36,14 +37,7 @@ def at_its_level(data: Data) -> dict[str, Any]:
 
 def _changes(data: Data, device: Data) -> Iterator[Fraction]:
     """By axis, what friction adds to a level less what held torques take, N*s/m."""
-    taken = Fraction(0)
-    T, tau, rho = (_fraction(data.get(key, 0)) for key in ("period", "tau", "period_tolerance"))
-    if "held" in device:
-        kappa, force, speed = (_fraction(device["held"][key]) for key in ("kappa", "force", "speed"))
-        turned = kappa * speed * ((1 + rho) * T + tau)
-        if not turned < 2:
-            raise NoSystem("a tip that turns too far")
-        taken = kappa * force / (1 - turned / 2) * ((1 + rho) * T + 3 * tau) / 2
+    taken = _taken(data, device)
     forces = (data.get("encoder") or {}).get("force")
     for axis, port in enumerate(device["ports"]):
         added = Fraction(0)
@@ -51,6 +45,40 @@ def _changes(data: Data, device: Data) -> Iterator[Fraction]:
             w = _fraction(forces[data["ports"].index(port)]) if forces else Fraction(0)
             added = max(Fraction(0), _fraction(device["friction"][axis]) - w) / _fraction(data["speed"])
         yield added - taken
+
+
+def _taken(data: Data, device: Data) -> Fraction:
+    """The damping that pays for held torques, N*s/m."""
+    if "held" not in device:
+        return Fraction(0)
+    T, tau, rho = (_fraction(data.get(key, 0)) for key in ("period", "tau", "period_tolerance"))
+    kappa, force, speed = (_fraction(device["held"][key]) for key in ("kappa", "force", "speed"))
+    turned = kappa * speed * ((1 + rho) * T + tau)
+    if not turned < 2:
+        raise NoSystem("a tip that turns too far")
+    return kappa * force / (1 - turned / 2) * ((1 + rho) * T + 3 * tau) / 2
+
+
+def orientations(data: Data) -> list[str]:
+    """The claims about orientations that are contradicted, in rationals.
+
+    A hand that swings about one axis, and a proxy that resonates, draw k (T/2 + 3 tau/2) omega^2 at most. Joints of six
+    axes draw d (|v|^2 + L^2 |omega|^2) of a hand that goes to and fro, so nothing of it is paid where nothing is burnt
+    by turning.
+    """
+    out = []
+    T, tau, rho = (_fraction(data.get(key, 0)) for key in ("period", "tau", "period_tolerance"))
+    for device in data["devices"].values():
+        own, length = device.get("orientation", {}), device.get("held", {}).get("length")
+        burns = _fraction(own["osp"]) if "osp" in own else Fraction(0)
+        if "held" in device and "osp" in own and length is None:
+            out.append("joints that hold an orientation's torque have a length")
+        needed = _fraction(own["stiffness"]) * ((1 + rho) * T + 3 * tau) / 2 if "osp" in own else Fraction(0)
+        if length is not None:
+            needed += _fraction(length) ** 2 * _taken(data, device)
+        if needed > burns:
+            out.append("an orientation burns what its torque needs")
+    return out
 
 
 def _fraction(value: Any) -> Fraction:

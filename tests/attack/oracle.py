@@ -12,7 +12,7 @@ from tests.attack.arithmetic import BITS, Floats, Precise
 from tests.attack.hands import at_level, worst
 from tests.attack.linkages import pays
 from tests.attack.loop import Hand, Repeating, Tick, growth
-from tests.attack.mechanisms import at_its_level
+from tests.attack.mechanisms import at_its_level, orientations
 from tests.attack.mechanisms import steps as of_steps
 from tests.attack.parties import Data, NoSystem, Reader, precise
 from tests.attack.passivity import confirmed, levels, mixture_levels, poles, statics, suspects
@@ -59,7 +59,7 @@ def judge(data: Data, rng: np.random.Generator, draws: int = 3, steps: int = 0) 
     """
     out, stated = Judgement(), data
     data = at_its_level(stated)
-    for what in [*statics(data), *levels(data), *of_steps(stated)]:
+    for what in [*statics(data), *levels(data), *of_steps(stated), *orientations(stated)]:
         out.suspects.append(what)
         out.findings.append(what)
     if out.findings and data["environment"]["type"] != "declared" and rng.random() < 0.1:

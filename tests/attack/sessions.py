@@ -16,6 +16,7 @@ import numpy as np
 from manyhands.design.certificate import content
 from manyhands.design.errors import DesignError, Infeasible
 from manyhands.design.levels.held_torque import HeldTorque
+from manyhands.design.levels.orientation import OrientationLevel
 from manyhands.design.models.coupling import Partition, SpringDamper
 from manyhands.design.models.declared import DeclaredEnvironment
 from manyhands.design.models.environment import DelayedNetwork, NetworkBox, StateSpaceEnvironment, TransferEnvironment
@@ -428,6 +429,28 @@ def of_held_torque(rng: Generator) -> Data | None:
         return None
 
 
+def of_orientation(rng: Generator) -> Data | None:
+    """A device whose orientation has a torque, which joints hold together with the force, or which is held itself."""
+    T, osp, _ = _scales(rng)
+    environment, tau, rho = network(rng, 3, osp, T), late(rng, T), float(rng.choice([0.0, 0.0, 0.1]))
+    half = ((1.0 + rho) * T + 3.0 * tau) / 2.0
+    held, b, k = None, spread(rng, -4.0, -2.0), 0.0
+    if rng.random() < 0.8:
+        kappa, length = spread(rng, 0.0, 2.0), spread(rng, -2.0, -0.5)
+        force = min(osp, b / length**2) * float(rng.uniform(0.05, 0.9)) / (half * kappa)
+        turned = float(rng.uniform(0.001, 0.2))
+        held = HeldTorque(kappa, force, turned / (kappa * ((1.0 + rho) * T + tau)), None, length)
+        k = max(0.0, b - held.turning(T, tau, rho)) / half
+    k = float(rng.uniform(0.1, 1.01)) * (k or b / half)
+    level, own = symmetric(rng, 3, osp, 0.1), OrientationLevel(b, k, held)
+    device = DeviceLevel("pen", (0, 1, 2), level, held, None, None, None, own)
+    loop = HapticLoop("attack", T, environment.ports, (device,), Partition(("c",), ((0, 1, 2),)), environment, tau, rho)
+    try:
+        return designed(loop, spring_damper(rng, loop))
+    except Infeasible:
+        return None
+
+
 def of_encoder_steps(rng: Generator) -> Data | None:
     """Devices that round; dry friction covers that, or not, or nearly."""
     T, osp, m = _scales(rng)
@@ -497,6 +520,7 @@ KINDS: dict[str, Callable[[Generator], Data | None]] = {
     "transparency": of_transparency,
     "series": of_series,
     "held torque": of_held_torque,
+    "orientation": of_orientation,
     "encoder steps": of_encoder_steps,
     "dry friction": of_dry_friction,
 }

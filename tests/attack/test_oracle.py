@@ -18,7 +18,7 @@ from flint import ctx, fmpq
 from tests.attack.arithmetic import BITS, Floats, decimal, semidefinite
 from tests.attack.hands import at_level, random_loop
 from tests.attack.loop import Hand, Repeating, Tick, growth, period_map
-from tests.attack.mechanisms import at_its_level, steps
+from tests.attack.mechanisms import at_its_level, orientations, steps
 from tests.attack.oracle import alone, judge
 from tests.attack.parties import Reader, precise
 from tests.attack.passivity import levels, statics
@@ -397,3 +397,26 @@ def test_held_torques_take_from_a_level_what_their_numbers_say() -> None:
         other = copy.deepcopy(data)
         other["devices"]["arm"]["held"][key] *= 1.01
         assert "Delta_D <= osp" in levels(at_its_level(other))
+
+
+def test_an_orientation_burns_what_its_torque_and_its_joints_need() -> None:
+    data = of_kind("orientation", lambda data: "length" in data["devices"]["pen"].get("held", {}))
+    assert orientations(data) == levels(at_its_level(data)) == []
+    pen = data["devices"]["pen"]
+    over = float(pen["orientation"]["osp"]) / 1e-12
+    for part, key, value in (
+        ("orientation", "stiffness", over),
+        ("held", "length", 10.0 * over),
+        ("held", "kappa", over),
+    ):
+        other = copy.deepcopy(data)
+        other["devices"]["pen"][part][key] = value
+        other["devices"]["pen"]["held"]["speed"] = 1e-30
+        assert orientations(other) == ["an orientation burns what its torque needs"]
+    other = copy.deepcopy(data)
+    del other["devices"]["pen"]["held"]["length"]
+    assert orientations(other) == ["joints that hold an orientation's torque have a length"]
+    other = copy.deepcopy(data)
+    other["devices"]["pen"]["orientation"] = {"sensed": True, "stiffness": 1.0}
+    assert orientations(other) == ["an orientation burns what its torque needs"]
+    assert "an orientation burns what its torque needs" in judge(other, np.random.default_rng(1)).findings

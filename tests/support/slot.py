@@ -89,6 +89,14 @@ def sensed(**changes: Any) -> dict[str, Any]:
     return data
 
 
+def joined(kappa: float = 10.0, **orientation: Any) -> dict[str, Any]:
+    """The same with joints that hold force and torque together, with these keys of the orientation."""
+    data = slot(orientation, design={"coupling": "spring-damper", "tau": 0.0002})
+    data["devices"]["pen"] |= {"held": "torque", "linkage": {"kappa": kappa, "length": 0.05}}
+    data["devices"]["pen"]["limits"] = {"force": 4, "speed": 0.5}
+    return data
+
+
 PEN = "tests.support.turning_drivers:Pen"
 """A driver of another package, a counterpart that turns in space."""
 

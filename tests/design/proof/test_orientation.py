@@ -23,7 +23,7 @@ from manyhands.launch.app.budget import budget_object, orientation_limits, print
 from manyhands.launch.app.design_report import print_certificate
 from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.session import Session
-from tests.support.slot import sensed, session, slot
+from tests.support.slot import joined, sensed, session, slot
 
 
 @pytest.fixture(scope="module")
@@ -102,7 +102,100 @@ def test_one_that_is_sensed_is_written_and_read_back_and_shown(tmp_path: Path) -
     assert "no torque acts on the hand, and nothing is needed" in shown.getvalue()
 
 
-def test_held_torques_are_not_covered(claimed: dict[str, Any]) -> None:
+@pytest.fixture(scope="module")
+def twisted() -> dict[str, Any]:
+    """Of a device whose joints hold force and torque together."""
+    certificate = prepare(Session.from_dict(joined()), None).certificate
+    assert certificate is not None
+    return json.loads(json.dumps({**content(certificate), "id": certificate.id}))
+
+
+def test_torques_of_joints_take_of_both_dampings(twisted: dict[str, Any]) -> None:
+    held = twisted["devices"]["pen"]["held"]
+    assert set(held) == {"kappa", "force", "speed", "length"}
+    findings = prove(twisted)
+    assert all(finding.holds for finding in findings)
+    (found,) = _about(findings)
+    assert found.condition == "the orientation of pen: b > 0, k > 0, k (lambda T + 3 tau)/2 <= b - L^2 d"
+    # d = kappa F/(1 - kappa v (T + tau)/2) (T + 3 tau)/2
+    bent = 10.0 * held["force"] / (1.0 - 10.0 * held["speed"] * 0.0012 / 2.0)
+    d = bent * 0.0016 / 2.0
+    left = 0.001 - 0.05**2 * d
+    assert found.value == pytest.approx(left - 0.3 * 0.0016 / 2.0)
+    (level,) = twisted["levels"]["Delta_D"].values()
+    assert level[0][0] == pytest.approx(1.37 - d)
+    for k, holds in ((left / 0.0008 * (1 - 1e-9), True), (left / 0.0008 * (1 + 1e-9), False)):
+        stiff = prove(_changed(twisted, lambda own, k=k: own["orientation"].update(stiffness=k)))
+        assert [finding.holds for finding in _about(stiff)] == [holds]
+
+
+FORGED: dict[str, Callable[[dict[str, Any]], None]] = {
+    "a greater force": lambda own: own["held"].update(force=2.0 * own["held"]["force"]),
+    "a greater kappa": lambda own: own["held"].update(kappa=20.0),
+    "a longer length": lambda own: own["held"].update(length=0.2),
+    "no length": lambda own: own["held"].pop("length"),
+    "a length below 0": lambda own: own["held"].update(length=-0.05),
+    "a length of 0": lambda own: own["held"].update(length=0.0),
+    "more damping than there is": lambda own: own["orientation"].update(osp=1e-4),
+    "an orientation that is sensed": lambda own: own.update(orientation={"sensed": True, "stiffness": 0.3}),
+    "no orientation": lambda own: own.pop("orientation"),
+    "a tip that turns too far": lambda own: own["held"].update(speed=1e3),
+}
+
+
+@pytest.mark.parametrize("change", FORGED.values(), ids=FORGED)
+def test_a_claim_about_torques_of_joints_that_is_changed_is_not_proved(
+    twisted: dict[str, Any], change: Callable[[dict[str, Any]], None]
+) -> None:
+    assert not all(finding.holds for finding in prove(_changed(twisted, change)))
+
+
+@pytest.mark.parametrize("length", [None, "0.05", True, [0.05]])
+def test_a_length_that_is_no_number_is_refused(twisted: dict[str, Any], length: Any) -> None:
+    with pytest.raises(ValueError, match="length"):
+        prove(_changed(twisted, lambda own: own["held"].update(length=length)))
+
+
+def test_kinematics_beside_a_length_are_refused(twisted: dict[str, Any]) -> None:
+    chain = {"kind": "chain", "turns": ["z", "y", "y"], "links": [[0, 0, 0.1], [0.1, 0, 0], [0.1, 0, 0]],
+             "low": [-0.2, -0.2, 0.8], "high": [0.2, 0.2, 1.2]}  # fmt: skip
+    with pytest.raises(ValueError, match="no kinematics of six axes"):
+        prove(_changed(twisted, lambda own: own["held"].update(linkage=chain)))
+
+
+def test_a_spring_for_which_joints_leave_too_little_is_refused(twisted: dict[str, Any]) -> None:
+    data = joined(stiffness=1.2)
+    pen = data["devices"]["pen"]
+    with pytest.raises(Infeasible, match=r"of which torques of its joints take 0\.000\d+, allows at delays of 0\.2 ms"):
+        mh.certify(Session.from_dict(data))
+    pen["linkage"]["kappa"] = 60.0
+    with pytest.raises(Infeasible, match=r"expected more than the 0\.001\d+ N·m·s/rad that torques of its joints"):
+        mh.certify(Session.from_dict(data))
+    del pen["orientation"]["stiffness"]
+    with pytest.raises(Infeasible, match="state a lower greatest force or torque"):
+        mh.certify(Session.from_dict(data))
+
+
+def test_it_is_read_back_and_its_budget_counts_the_joints(twisted: dict[str, Any], tmp_path: Path) -> None:
+    data = joined()
+    certificate = mh.certify(Session.from_dict(data))
+    save(certificate, tmp_path / "slot.json")
+    read, _ = load(tmp_path / "slot.json")
+    (again,), (own,) = read.loop.devices, certificate.loop.devices
+    assert (again.held, again.orientation) == (own.held, own.orientation)
+    assert read.id == certificate.id == twisted["id"]
+    found = session_budget(Session.from_dict(data))
+    ((_, most, _),) = orientation_limits(found.loop)
+    (held,) = (device.held for device in read.loop.devices)
+    assert held is not None
+    assert most == pytest.approx((0.001 - held.turning(0.001, 0.0002, 0.0)) / 0.0008)
+    shown = StringIO()
+    print_certificate(Console(file=shown, width=300), certificate)
+    assert "where a turn counts by 0.05 m/rad" in shown.getvalue()
+    assert "of which torques of its joints take 0.0001" in shown.getvalue()
+
+
+def test_held_torques_without_a_length_are_not_covered(claimed: dict[str, Any]) -> None:
     held = {"kappa": 1.0, "force": 1.0, "speed": 0.1}
     findings = prove(_changed(claimed, lambda device: device.update(held=held)))
     assert any(not finding.holds and "not torques of joints" in finding.condition for finding in findings)

@@ -506,7 +506,7 @@ def test_the_orientation_of_a_wrist_is_sensed_whatever_motors_it_has(
         assert (of.speed, of.torque, of.holds, of.felt) == (12.0, None, holds, False)
         assert driver.specification().session_keys()["orientation"] == {"sensed": True}
         (sentence,) = of.promises_too_much(0.1, 1.0)
-        assert ("as torques of joints, of which nothing is proved" in sentence) == (wrist == 2)
+        assert ("its driver exerts none by its joints" in sentence) == (wrist == 2)
         for turn in TURNS:
             norm = math.hypot(*turn)
             wanted = [part / norm for part in turn]

@@ -36,7 +36,7 @@ from manyhands.nodes.recorder.format import Recorded
 from manyhands.protocol.channels import ACCOUNT, INSTANTS, ORIENTATION, PROPOSED, PROXY, TOPICS, TORQUE
 from manyhands.protocol.clock import Duration, Instant, from_seconds
 from manyhands.protocol.messages import Role
-from tests.support.slot import MODEL, SENSED, sensed, session, slot, slot_by, told, values
+from tests.support.slot import MODEL, SENSED, joined, sensed, session, slot, slot_by, told, values
 
 pytest.importorskip("mujoco")
 TICKS = 450
@@ -80,6 +80,13 @@ def test_all_of_it_follows(prepared: Prepared, run: RecordedRun) -> None:
         ("agreement", "pen"),
         (BOUND, "environment"),
     }
+
+
+def test_it_follows_of_joints_that_hold_force_and_torque() -> None:
+    prepared = prepare(Session.from_dict(joined()), None)
+    run = simulate(prepared, 300)
+    assert set(checks(prepared, run).values()) == {CheckVerdict.HOLDS}
+    assert abs(values(run, "pen", "t_v")).max() > 0.0
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,7 @@ from manyhands.launch.plan.loop import haptic_loop
 from manyhands.launch.plan.remedies import Lever, settings, with_remedies
 
 from ...support.cases import cases
+from ...support.slot import joined
 
 ROOT = Path(__file__).parents[3]
 
@@ -220,3 +221,12 @@ def test_the_search_ends_where_its_user_ends_it(capsys: pytest.CaptureFixture[st
     assert [str(one) for one in found] == ["one: --set a=1 is certified at 1 N/m"]
     assert capsys.readouterr().out == "  could help: one: --set a=1 is certified at 1 N/m\n"
     assert could_help(Console(), DesignError("no")) == ()
+
+
+def test_joints_that_take_all_of_an_orientations_damping_have_remedies_that_are_certified() -> None:
+    session = mh.Session.from_dict(joined(60.0))
+    with pytest.raises(Infeasible, match="that torques of its joints may give out"):
+        mh.certify(session)
+    found = {one.what.split(" below ")[0].split(" above ")[0]: one for one in module.remedies(session)}
+    for what in ("a greatest force", "an orientation with an osp"):
+        mh.certify(mh.load(session, found[what].changes))

@@ -80,6 +80,35 @@ def test_a_person_at_a_browser_may_turn_it() -> None:
     assert Session.from_dict(data).hands == ("pen",)
 
 
+CHAIN = {"kind": "chain", "turns": ["z", "y", "y"], "links": [[0, 0, 0.1], [0.1, 0, 0], [0.1, 0, 0]],
+         "low": [-0.2, -0.2, 0.8], "high": [0.2, 0.2, 1.2]}  # fmt: skip
+TWISTED = {"kappa": 10.0, "length": 0.05}
+"""Of joints that hold force and torque together."""
+
+
+def _sensed_with(**keys: Any) -> dict[str, Any]:
+    data = sensed()
+    data["devices"]["pen"] |= keys
+    return data
+
+
+def test_joints_that_hold_its_torque_state_a_length_and_take_of_its_damping() -> None:
+    data = _with(held="torque", linkage=TWISTED, limits={"force": 4, "speed": 0.5})
+    session = Session.from_dict(data)
+    assert Session.from_dict(session.to_dict()) == session
+    held = session.devices["pen"].held_torque
+    assert held is not None
+    assert held.force == pytest.approx(math.sqrt(3 * 4**2 + (0.2 / 0.05) ** 2))
+    assert held.speed == pytest.approx(math.sqrt(3 * 0.5**2 + (30 * 0.05) ** 2))
+    assert held.force**2 >= 3 * 4**2 + (0.2 / 0.05) ** 2
+    taken = session.taken_of_orientation("pen", 2e-4, 0.1)
+    assert taken == held.turning(0.001, 2e-4, 0.1) > 0.0
+    del data["devices"]["pen"]["orientation"]["stiffness"]
+    k = Session.from_dict(data).orientation_stiffness("pen", 2e-4, 0.1)
+    assert k * (1.1 * 0.001 + 3 * 2e-4) / 2 == pytest.approx(0.99 * (0.001 - taken))
+    assert session.tells_work("pen") is False
+
+
 LINKS = [{"between": [f"pen.{i}", "ground"], "stiffness": 100} for i in range(3)]
 
 REFUSED = {
@@ -87,7 +116,27 @@ REFUSED = {
     "a driver": (_with(driver="a.b:c", mass=None, hand=None), "no inertia: the driver's device and its user"),
     "a SpaceMouse": (_with(driver="spacemouse", hand={"stiffness": 100}), "driver: simulated, browser, or a driver"),
     "a person and a torque": (_with(driver="browser", hand={"stiffness": 100}), "no torque: the intention comes from"),
-    "torques of joints": (_with(held="torque", linkage={"kappa": 10.0}), "is proved nowhere yet"),
+    "torques of joints": (_with(held="torque", linkage={"kappa": 10.0}), "linkage: {kappa: K, length: L} of all six"),
+    "kinematics of its place": (_with(held="torque", linkage=CHAIN), "linkage: {kappa: K, length: L} of all six"),
+    "kinematics and a length": (_with(held="torque", linkage={**CHAIN, "length": 0.05}), "found ['length']"),
+    "a length of nothing": (_with(held="torque", linkage={"kappa": 10.0, "length": 0}), "a length in m/rad greater"),
+    "a length alone": (_with(held="torque", linkage={"length": 0.05}), "{kappa: 18.8}, in 1/m"),
+    "a length of turns that are sensed": (
+        _sensed_with(held="torque", linkage=TWISTED),
+        "no length, or an orientation with a torque",
+    ),
+    "friction beside it": (
+        _with(held="torque", linkage=TWISTED, friction={"least": 0.1}),
+        "no friction: what it burns",
+    ),
+    "joints that take all of its damping": (
+        _with(held="torque", linkage={"kappa": 1000.0, "length": 0.05}, limits={"force": 4, "speed": 0.5}),
+        "that torques of its joints may give out without any delay, or a lower greatest force or torque",
+    ),
+    "a tip that turns too far": (
+        _with(held="torque", linkage={"kappa": 1000.0, "length": 0.05}, limits={"force": 4, "speed": 100}),
+        "lower speeds: the tip may turn too far",
+    ),
     "axes that turn": (_with(axes={"x": "translation", "y": "translation", "w": "rotation"}), "axes that translate"),
     "no avatar": (_environment(avatars={}), "environment.avatars: {pen: JOINT}"),
     "an avatar of nobody": (_environment(avatars={"pen": "turn", "pin": "turn"}), "a device with an orientation: pen"),

@@ -107,7 +107,10 @@ FELT = {"osp": 0.001, "stiffness": 0.3}
         ),
         (told(sensed=True), "found a torque; expected sensed: true, for no motor turns its device"),
         (told(holds="tool"), "expected sensed: true, for its motors hold it in the tool's axes, of which nothing is"),
-        (told(holds="joints"), "expected sensed: true, for its motors hold it as torques of joints"),
+        (
+            told(holds="joints"),
+            r"expected sensed: true, or held: torque and linkage: \{kappa, length\} of all six",
+        ),
         (told({**FELT, "limits": {"torque": 0.3, "speed": 30}}), r"limits.torque: found 0.3 N·m; expected at most 0.2"),
         (told({**FELT, "limits": {"torque": 0.2, "speed": 90}}), r"limits.speed: found 90 rad/s; expected at most 60"),
     ],

@@ -9,7 +9,7 @@ import pytest
 
 from manyhands.design.problem import MECHANISM
 from manyhands.launch.session.device import Device
-from manyhands.nodes.kernel.driver_statement import DriverWord
+from manyhands.nodes.kernel.driver_statement import JOINED, DriverWord
 
 PAGE = Path(__file__).parents[3] / "docs" / "drivers.md"
 FACTORY = "tests.support.plugin_drivers:Counterpart"
@@ -50,6 +50,14 @@ def test_all_that_is_stated_of_its_mechanism_is_believed(key: str) -> None:
 
 def test_motors_that_hold_torques_hold_no_force() -> None:
     assert not any("holds the force" in one for one in word(**OF_MECHANISM["held"][0]).believed(measured=False))
+
+
+def test_joints_that_hold_force_and_torque_together_tell_no_work() -> None:
+    found = DriverWord(FACTORY, torques=True, turns=JOINED).believed(measured=False)
+    assert not any("work" in one or "about axes at rest" in one or "at the tip" in one for one in found)
+    assert "how these bend in all six directions" in found
+    text = " ".join(PAGE.read_text(encoding="utf-8").split())
+    assert all(one in text for one in found if "joints" in one or "bend" in one)
 
 
 def test_a_step_of_nothing_is_none() -> None:
