@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 
 ROUNDS ?= 10
 
-.PHONY: walks container service ssh nat pythons demo test test-long test-rest guests lint types imports pytest campaign attack heavy refusals worlds fuzz fuzz-board firmware datagrams wan far-user scenes world-peers encoder friction mechanisms identify orientation six-axes flood loop watched soak users linked-users chaos faults lateness inertia honest hostile blamed device-faults remote pictures page benchmark curve figures docs words docs-pictures clean
+.PHONY: walks container service ssh nat pythons demo test test-long test-rest guests lint types imports pytest campaign attack heavy refusals worlds fuzz fuzz-board firmware datagrams wan far-user scenes world-peers encoder friction mechanisms identify orientation six-axes turning-bodies flood loop watched soak users linked-users chaos faults lateness inertia honest hostile blamed device-faults remote pictures page benchmark curve figures docs words docs-pictures clean
 
 demo: $(VENV)/.installed
 	$(BIN)/manyhands demo -o out/demo
@@ -30,8 +30,8 @@ SPREAD  := --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 # collecting the other files would take twenty seconds; looked up where it is used alone
 ALONE    = $(shell grep -rl --include='test_*.py' 'mark\.alone' tests)
 # matrices of ten rows: more threads in BLAS only wait for each other, and for the other test process
-pytest test-long test-rest campaign attack refusals worlds scenes world-peers mechanisms identify orientation six-axes: export OMP_NUM_THREADS = 1
-pytest test-long test-rest campaign attack refusals worlds scenes world-peers mechanisms identify orientation six-axes: export OPENBLAS_NUM_THREADS = 1
+pytest test-long test-rest campaign attack refusals worlds scenes world-peers mechanisms identify orientation six-axes turning-bodies: export OMP_NUM_THREADS = 1
+pytest test-long test-rest campaign attack refusals worlds scenes world-peers mechanisms identify orientation six-axes turning-bodies: export OPENBLAS_NUM_THREADS = 1
 # where it is set, every process of every session that a test starts would compile the product and the tests anew
 pytest test-long test-rest campaign attack: export PYTHONDONTWRITEBYTECODE =
 pytest: $(VENV)/.installed
@@ -182,6 +182,12 @@ orientation: $(VENV)/.installed
 	$(BIN)/python -m tests.deterministic.turned --ticks $(THROWN) --seed $(SEED)
 	$(BIN)/python -m tests.deterministic.late_turns --sessions 500 --seed $(SEED)
 	$(BIN)/python -m benchmarks.orientation_peers --markdown docs/decisions/0054-orientation.md
+
+# bodies that turn in a scene of its own (decision 55): which schemes give out energy, in a million steps each: nine
+# minutes; and what the tests cost hands of six axes in such a scene: six minutes
+turning-bodies: $(VENV)/.installed
+	$(BIN)/python -m benchmarks.turning_bodies --seed $(SEED)
+	$(BIN)/python -m tests.deterministic.turned_in_a_scene --seed $(SEED)
 
 # the environment's step with two tools of six axes and ten contacts, in MuJoCo; exits 1 above 500 us at p99: a minute
 six-axes: $(VENV)/.installed

@@ -14,6 +14,7 @@ Energies are in k rad^2, on SE(3) in J of a spring of 1 N/m. The exit code is 1 
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 import time
 from collections.abc import Callable

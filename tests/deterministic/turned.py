@@ -21,14 +21,15 @@ import argparse
 import itertools
 import math
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass, fields
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 
 from manyhands.nodes.environment.core import respond
 from manyhands.nodes.environment.enforced import EnforcedCore
-from manyhands.nodes.environment.model import AskedModel
+from manyhands.nodes.environment.model import AskedModel, Engine
 from manyhands.nodes.environment.mujoco import MujocoEngine
 from manyhands.nodes.environment.oriented_tools import OrientedTools
 from manyhands.nodes.environment.proxy import ProxyLaw, Vector
@@ -66,6 +67,8 @@ MOST: Final = 0.25
 
 FASTEST: Final = 80.0
 """rad/s."""
+
+PORTS: Final = tuple(f"{name}.{axis}" for name in STARTS for axis in "xyz")
 
 ROUNDING: Final = 1e-12
 """Of the work that was done: below it nothing may be given out."""
@@ -186,6 +189,7 @@ class Told:
         put_in: the least that both hands had put in by turning, J.
         turning: the work that was done by turning, J.
         held: by turning, the steps that were held.
+        stayed: by moving, likewise.
         lives: how many lives both hands had.
         touching: ticks with a contact.
         turned: the whole angle by which both hands have turned, rad.
@@ -201,6 +205,7 @@ class Told:
     put_in: float = 0.0
     turning: float = 0.0
     held: int = 0
+    stayed: int = 0
     lives: int = 0
     touching: int = 0
     turned: float = 0.0
@@ -229,8 +234,8 @@ _LEAST: Final = {"ledger", "margin", "accounts", "balance", "put_in"}
 def thrown(
     body: str, shape: str, care: str, ticks: int, seed: int, spring: type[OrientationSpring] = OrientationSpring
 ) -> Told:
-    """Two hostile hands of six axes, and a body that they turn."""
-    ports = tuple(f"{name}.{axis}" for name in STARTS for axis in "xyz")
+    """Two hostile hands of six axes, and a body that they turn in MuJoCo."""
+    ports = PORTS
     parameters = {
         "model": model(body, shape, care, turns=True),
         "tools": [port.replace(".", "_") for port in ports],
@@ -240,14 +245,47 @@ def thrown(
         "stiffness": [K] * len(ports),
     }
     engine = MujocoEngine(ports, T, parameters)
-    asked = AskedModel("mujoco", engine, ports)
+    return at_an_engine(engine, lambda: bool(engine._data.ncon > 0), ticks, seed, spring)
+
+
+class TurnsAvatars(Engine, Protocol):
+    """An engine with avatars that turn."""
+
+    def turn(self, torques: Vector) -> None:
+        """Turn them in the next step."""
+        ...
+
+    def avatars(self) -> list[float]:
+        """Their orientations."""
+        ...
+
+
+def at_an_engine(
+    engine: TurnsAvatars,
+    touches: Callable[[], bool],
+    ticks: int,
+    seed: int,
+    spring: type[OrientationSpring] = OrientationSpring,
+    kind: type[HostileHand] = HostileHand,
+) -> Told:
+    """Two hands of six axes, hostile unless stated, and an engine whose avatars are theirs.
+
+    Args:
+        engine: with an avatar for each of :data:`STARTS`, on springs of :data:`K` and :data:`STIFFNESS`.
+        touches: whether anything touched in the engine's last step.
+        ticks: at most so many.
+        seed: of the hands.
+        spring: the hands' law.
+        kind: how they move.
+    """
+    asked = AskedModel("engine", engine, PORTS)
     blocks = [[0, 1, 2], [3, 4, 5]]
     law = ProxyLaw(asked, K * np.eye(6), None, T, blocks, bodies=1)
     power = MOST * FASTEST * T + 0.5 * STIFFNESS * (FASTEST * T) ** 2
     oriented = OrientedTools([OrientedTool(name, STIFFNESS, MOST, power) for name in STARTS], asked)
     core = EnforcedCore(law, D_V * np.eye(6), np.zeros((6, 6)), T, False, blocks, oriented=oriented)
     rng, told, left = np.random.default_rng(seed), Told(), AFTER
-    hands = [HostileHand(rng, np.array([x, 0.0, 0.0]), spring) for x in STARTS.values()]
+    hands = [kind(rng, np.array([x, 0.0, 0.0]), spring) for x in STARTS.values()]
     for k in range(ticks):
         thing = np.array(engine.positions())
         places = [number for hand in hands for number in hand.move(thing).tolist()]
@@ -260,7 +298,7 @@ def thrown(
         told.work += abs(float(np.dot(answer[:6], np.subtract(core.tools, before))))
         told.accounts = min(told.accounts, sum(hand.gone + hand.spring.account for hand in hands))
         told.balance = min(told.balance, oriented.bank.balance)
-        told.touching += engine._data.ncon > 0
+        told.touching += touches()
         told.ticks += 1
         if core.failure is not None:
             told.gave_up, left = 1, left - 1
@@ -271,6 +309,7 @@ def thrown(
     told.margin, told.turning = min(hand.margin for hand in hands), sum(hand.work for hand in hands)
     told.held = sum(hand.held + hand.spring.held for hand in hands)
     told.lives = sum(int(hand.life) for hand in hands)
+    told.stayed = sum(law.held)
     told.turned = sum(hand.turned for hand in hands)
     return told
 
