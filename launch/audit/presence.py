@@ -85,8 +85,10 @@ class Presence:
                     out |= excused[name]
                 self.owed[device] = rows[device] | ~out
         if run.recorded.clock == REALTIME:
+            # a user far away hears of the end later, and a host of such users is told of ticks after its own last
+            ends = LAST + (round(SLACK / run.period) if run.recorded.linked else 0)
             for name, owed in self.owed.items():
-                last = math.ceil(LAST * run.recorded.rate_of(name))
+                last = math.ceil(ends * run.recorded.rate_of(name))
                 if not (~rows[name])[: -last or None].all():
                     owed[-last:] &= rows[name][-last:]
 

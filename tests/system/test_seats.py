@@ -272,6 +272,7 @@ def test_two_guests_come_and_go_by_their_invitations_alone(tmp_path: Path) -> No
     require_unaccused(home / "run.mcap")
     told = json.loads(manyhands_command("audit", home / "run.mcap", "--json").stdout)
     assert {check["verdict"] for check in told["checks"] if check["name"] == "rows"} == {"holds"}
+    assert next(one["state"] for one in told["promises"] if one["promise"] == "record") == "kept"
 
 
 def test_an_invitation_outlives_every_change_of_the_session(tmp_path: Path) -> None:
