@@ -75,6 +75,10 @@ class DistanceGrid:
         """The greatest radius of a sphere whose contacts lie within the band, m: two cells less than the band."""
         return self.cell * (self.band - 2)
 
+    def band_for(self, radius: float) -> int:
+        """The least band, in cells, whose largest radius is at least ``radius``, m."""
+        return math.ceil(radius / self.cell) + 2
+
     @property
     def digest(self) -> str:
         """SHA-256 over all numbers; however they are deflated and wrapped as text, it is the same."""

@@ -144,7 +144,7 @@ def check_model(
     yield _duration(found.durations, T)
     if found.touched:
         yield _sign(found.pressed)
-        yield _level(found.needed, found.worst, level) if stiffness is None else _held(found.held, found.touched)
+        yield _level(found.needed, found.worst, level) if stiffness is None else _held(found.held, found.active)
     else:
         text = f"no motion of up to {reach:g} m met a force; --reach tries further ones"
         yield from (Judgement(check, Conformance.OPEN, text) for check in (SIGN, LEVEL if stiffness is None else HELD))
@@ -160,6 +160,7 @@ class _Answers:
         forces: ticks x ports, N.
         durations: of its answers, ns.
         held: how many steps of proxies the proxy test shortened.
+        active: in how many steps a proxy had a force or was held.
         problem: why the probe ended before its time; None where it did not.
     """
 
@@ -167,6 +168,7 @@ class _Answers:
     forces: Array
     durations: list[int]
     held: int
+    active: int
     problem: Judgement | None = None
 
 
@@ -197,7 +199,7 @@ class _Trial:
         if self.stiffness is not None:
             law = ProxyLaw(model, self.stiffness * np.eye(m), None, self.T, [(port,) for port in range(m)])
             D = COMPLIANCE * np.eye(m)
-        f, motion, durations = np.zeros_like(given), given.copy(), []
+        f, motion, durations, active = np.zeros_like(given), given.copy(), list[int](), 0
         for k in range(len(given)):
             if probe == YIELDING:
                 motion[k] = tools.moved(f[k - 1], k)
@@ -207,10 +209,12 @@ class _Trial:
             if model.failure is not None:
                 check = EXCEPTION if asked.raised else WRONG_ANSWER
                 problem = Judgement(check, Conformance.BROKEN, f"in the probe {probe!r}: {model.failure}")
-                return _Answers(motion, f, durations, sum(law.held), problem)
+                return _Answers(motion, f, durations, sum(law.held), active, problem)
             motion[k] += D @ f[k]
+            before = list(law.held)
             law.advance(motion[k], f[k])
-        return _Answers(motion, f, durations, sum(law.held))
+            active += sum(bool(force) or now > was for force, now, was in zip(f[k], law.held, before, strict=False))
+        return _Answers(motion, f, durations, sum(law.held), active)
 
 
 @dataclass
@@ -223,6 +227,7 @@ class _Evidence:
         worst: the probe that needs it.
         pressed: the work that the world did on each slow press, J.
         held: how many steps of proxies the proxy test shortened.
+        active: in how many steps a proxy had a force or was held.
         touched: in how many steps there was a force.
         repeated: whether each second model answered as the first.
     """
@@ -232,13 +237,15 @@ class _Evidence:
     worst: str = "none"
     pressed: list[float] = field(default_factory=list)
     held: int = 0
+    active: int = 0
     touched: int = 0
     repeated: bool = True
 
     def add(self, probe: str, first: _Answers, second: _Answers, T: float) -> None:
         """Take in the answers of two models of the same factory to one probe."""
         self.durations += first.durations
-        self.held, self.touched = self.held + second.held, self.touched + int(np.count_nonzero(second.forces))
+        self.held, self.active = self.held + second.held, self.active + second.active
+        self.touched += int(np.count_nonzero(second.forces))
         self.repeated = self.repeated and first.forces.tobytes() == second.forces.tobytes()
         w = np.diff(second.motion, axis=0, prepend=second.motion[:1]) / T
         work, burnt = np.cumsum((w * first.forces).sum(axis=1)), np.cumsum((w**2).sum(axis=1))
@@ -295,9 +302,9 @@ def _sign(pressed: list[float]) -> Judgement:
     return Judgement(SIGN, Conformance.KEPT, f"a slow press costs up to {max(0.0, -min(pressed)):.3g} J")
 
 
-def _held(held: int, touched: int) -> Judgement:
-    text = f"the proxy test shortened {held} of {touched} steps of proxies with a force"
-    return Judgement(HELD, Conformance.OPEN if held > MOST_HELD * touched else Conformance.KEPT, text)
+def _held(held: int, active: int) -> Judgement:
+    text = f"the proxy test shortened {held} of {active} steps in which a proxy had a force or was to have one"
+    return Judgement(HELD, Conformance.OPEN if held > MOST_HELD * active else Conformance.KEPT, text)
 
 
 def _repeated(repeated: bool) -> Judgement:

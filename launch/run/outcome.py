@@ -304,9 +304,18 @@ def _late(nodes: Mapping[str, Mapping[str, Any]]) -> str:
     """The nodes of which many ticks were late, the latest first; empty where there are none."""
     shares = {name: node["late"] / node["ticks"] for name, node in nodes.items() if node.get("late") and node["ticks"]}
     often = sorted((name for name in shares if shares[name] >= LATE_WORTH_SAYING), key=lambda name: -shares[name])
-    words = ", ".join(f"{name} in {percent(min(1.0, shares[name]))} of its ticks" for name in often[:MOST_ROWS])
+    words = ", ".join(
+        f"{name} in {percent(min(1.0, shares[name]))} of its ticks{_by_itself(nodes[name])}"
+        for name in often[:MOST_ROWS]
+    )
     more = f" and {len(often) - MOST_ROWS} more" if len(often) > MOST_ROWS else ""
     return f"late: {words}{more}" if often else ""
+
+
+def _by_itself(node: Mapping[str, Any]) -> str:
+    """In how many ticks a node was late by the work of its own process, such as its driver's; empty for few."""
+    own = node.get("late_causes", {}).get("own", 0) / node["ticks"]
+    return f" ({percent(own)} by its own work)" if own >= LATE_WORTH_SAYING else ""
 
 
 def _lost(report: Mapping[str, Any], absent: bool) -> tuple[list[str], str]:

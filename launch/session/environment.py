@@ -24,7 +24,7 @@ from manyhands.design.files import read_regular
 from manyhands.design.models import environment as designed
 from manyhands.design.models.contacts import GROUND, coordinates
 from manyhands.design.models.declared import DeclaredEnvironment, ProxyEnvironment
-from manyhands.design.models.distance_grid import grid_of_text
+from manyhands.design.models.distance_grid import MOST_BAND, grid_of_text
 from manyhands.design.models.network import Network, NetworkLink, scales
 from manyhands.design.models.scene import MOST_DRIVE, MOST_POINTS, ContactScene, Obstacle
 from manyhands.launch.session.assets import ASSETS, model_assets, model_text, text_in
@@ -355,7 +355,9 @@ class MeshEnvironment(ModelEnvironment):
         distance = Lookup(grid)
         for name, tool in {} if of_names else self.tools.items():
             if tool.radius > grid.largest_radius:
-                expected = f"at most {grid.largest_radius:g}, or a grid with a wider --band"
+                band = grid.band_for(tool.radius)
+                wider = f"manyhands mesh --band {band}" if band <= MOST_BAND else "larger cells"
+                expected = f"at most {grid.largest_radius:g}, or a grid of {wider}"
                 yield Problem(("tools", name, "radius"), f"{tool.radius:g}", expected)
             elif (gap := distance(tool.at)[0] - tool.radius) < -TOUCH:
                 yield Problem(

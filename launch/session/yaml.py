@@ -368,11 +368,11 @@ def replaced(
     parent: Any = data  # always a dict or a list: other children are refused below
     path: KeyPath = ()
     places: dict[KeyPath, SourcePlace] = {}
-    for step in steps[:-1]:
+    for depth, step in enumerate(steps[:-1], start=1):
         if (*path, step) in begun and isinstance(parent, dict) and step not in parent:
             parent[step] = {}
             places[(*path, step)] = SourcePlace(source, None)
-        key = _existing(parent, step, path, source)
+        key = _existing(parent, step, path, source, steps[depth:])
         child = parent[key]
         if not isinstance(child, dict | list):
             raise SessionError(source, None, key_text((*path, key)), show(child), "a mapping or a list there")
@@ -385,12 +385,18 @@ def replaced(
     return SessionTree(tree.source, data, {**kept, **places, path: SourcePlace(source, None), **inner})
 
 
-def _existing(parent: dict[str, object] | list[object], step: str, path: KeyPath, source: str) -> str | int:
-    """The key or position of ``parent`` that ``step`` names."""
+def _existing(
+    parent: dict[str, object] | list[object], step: str, path: KeyPath, source: str, rest: Sequence[str] = ()
+) -> str | int:
+    """The key or position of ``parent`` that ``step`` names, on the way to ``rest`` within it."""
     if isinstance(parent, dict):
         if step in parent:
             return step
         expected = one_of(parent, step)
+        # of names of parts, such as devices, each has its own keys; any other key may be right and absent from the file
+        if rest and "did you mean" not in expected and not all(isinstance(value, dict) for value in parent.values()):
+            whole = "".join(f"{{{key}: " for key in rest) + "..." + "}" * len(rest)
+            expected += f", or {step!r} as a whole: {key_text((*path, step))}={whole}"
     else:
         if re.fullmatch(r"[0-9]{1,6}", step) and int(step) < len(parent):
             return int(step)

@@ -371,7 +371,7 @@ class PluginDriver:
         try:
             X = self._driver.apply(self._F.copy(), at, until)
         except (Exception, SystemExit) as error:  # foreign code: every exception is named
-            raise self._raised("apply", error, "a displacement or None") from error
+            raise self._raised("apply", error, "no exception") from error
         return None if X is None else self._at_ports("apply", X)
 
     def apply_wrench(
@@ -384,7 +384,7 @@ class PluginDriver:
         try:
             X = self._driver.apply_wrench(self._F.copy(), own, at, until)
         except (Exception, SystemExit) as error:  # foreign code: every exception is named
-            raise self._raised("apply_wrench", error, "a displacement or None") from error
+            raise self._raised("apply_wrench", error, "no exception") from error
         return None if X is None else self._at_ports("apply_wrench", X)
 
     def orientation(self) -> Quaternion:
@@ -408,7 +408,7 @@ class PluginDriver:
         except (Exception, SystemExit) as error:  # foreign code: every exception is named
             if self._failed:
                 return None
-            raise self._raised("release", error, "a displacement or None") from error
+            raise self._raised("release", error, "no exception") from error
         return None if X is None or self._failed else self._at_ports("release", X)
 
     def exerted(self, held: Floats) -> Floats:

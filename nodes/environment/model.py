@@ -148,7 +148,8 @@ def make_model(name: FactoryName, ports: tuple[str, ...], T: float, method: str 
 _EXPECTED: Final[Mapping[str | None, str]] = {
     None: "an object with proxy(x, k), step(x, f) or react(x_e, k)",
     PROXY: "an object with proxy(x, k) or step(x, f), for the session states the stiffness of its proxies",
-    REACT: "an object with react(x_e, k); for a model with proxy(x, k), state stiffness in the session's environment",
+    REACT: "an object with react(x_e, k); for a model with proxy(x, k) or step(x, f), state stiffness in the session's "
+    "environment, or check-model's --stiffness",
 }
 
 

@@ -430,6 +430,8 @@ class _Visit:
                 # a user who ends it while the session is lost has ended it, as at any other instant
                 return EXIT_OK if life.orphaned and life.failure is None else code
             if not self._lines:
+                if code == EXIT_OK and not life.stopping:
+                    _say(f"{self._invitation.session}: the host ended the session before the seat was taken")
                 return code
             stops = [line.stop for line in self._lines if line.stop is not None]
             if not (any(stop.again for stop in stops) or (life.orphaned and not stops)):

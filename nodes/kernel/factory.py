@@ -123,7 +123,9 @@ def made_by(name: FactoryName, what: str, ports: tuple[str, ...], T: float) -> A
         where = f" or in {name.folder}" if name.folder else ""
         # what a factory says of its own hardware needs no more; a TypeError may be that it takes other arguments
         expected = f"; expected a factory of (ports, period, parameters) on Python's import path{where}"
-        if isinstance(error, ModuleNotFoundError) and error.name is not None and not called:
+        if module.endswith(".py") and not called:
+            expected += f": a module is named without its suffix, {module.removesuffix('.py')}:{function}"
+        elif isinstance(error, ModuleNotFoundError) and error.name is not None and not called:
             expected += f": install the package that has {error.name} into {sys.executable}, or name another module"
         raise FactoryError(
             f"the {what} {name.factory} cannot be made: found {in_one_line(error)}"

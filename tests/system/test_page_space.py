@@ -291,6 +291,29 @@ def test_the_button_changes_between_plane_and_space(carry: ShownPage, first: Pag
     assert first.locator('#world-drawing rect[data-tool="anna"]').count() == 0
 
 
+def test_a_finger_holds_a_device_in_the_plane_as_long_as_it_is_down(carry: ShownPage, first: Page) -> None:
+    """A browser that took the drag for a scroll would cancel the pointer, and the hand would let go."""
+    first.locator("#view-switch").click()
+    until(first, "#world-drawing", "data-view", equals="plane")
+    narrow = {"width": 390, "height": 844}
+    fingers = Fingers(first)
+    wide = first.viewport_size
+    assert wide is not None
+    first.set_viewport_size(narrow)
+    carry.demands.clear()
+    x, y = centre(first, ANNA)
+    for step in range(40):
+        fingers.put(0, x, y - 3 * step)
+        frames(first)
+    until(first, ANNA, "class", has="held")
+    assert {demand.get("grasp") for demand in carry.demands} == {"anna"}
+    fingers.lift()
+    carry.await_demand({"release": "anna"})
+    first.set_viewport_size(wide)
+    first.locator("#view-switch").click()
+    until(first, "#world-drawing", "data-view", equals="space")
+
+
 @pytest.fixture(scope="module")
 def engine(browser: Browser) -> Iterator[ShownPage]:
     """The shipped session of MuJoCo, all of whose bodies have moved; one may turn, and one is lost."""

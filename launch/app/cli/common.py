@@ -252,11 +252,8 @@ def load_with_network(
         SessionError: it cannot be read, or a number of the network is out of its range.
     """
     session = load_named(path, overrides)
-    network = [
-        f"{name}: {read(f'--{name}', text)!r}"
-        for name, text, read in (("delay", delay, time_of), ("jitter", jitter, time_of), ("loss", loss, part_of))
-        if text is not None
-    ]
+    given = {"delay": (delay, time_of, "40ms"), "jitter": (jitter, time_of, "10ms"), "loss": (loss, part_of, "2%")}
+    network = [f"{name}: {read(f'--{name}', text)!r}" for name, (text, read, _) in given.items() if text is not None]
     if not network:
         return session
     if not session.wave_links:
@@ -267,7 +264,13 @@ def load_with_network(
         )
     stated = "{" + ", ".join(network) + "}"
     more = [f"couplings.{name}.wave_link.network={stated}" for name in session.wave_links]
-    return load_named(path, [*overrides, *more])
+    try:
+        return load_named(path, [*overrides, *more])
+    except SessionError as error:
+        if (option := error.key.rpartition(".")[2]) not in given:
+            raise
+        text, _, example = given[option]
+        refuse(f"--{option}: found {text!r}; expected {error.expected}, such as {example}")
 
 
 KeyFolder = Annotated[

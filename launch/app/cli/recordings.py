@@ -26,7 +26,7 @@ from manyhands.launch.app.cli.common import (
 from manyhands.launch.app.design_report import progress_on
 from manyhands.launch.app.risks import warn_of_code
 from manyhands.launch.audit.prepared import prepared_of
-from manyhands.launch.bridges.layouts import save_layout
+from manyhands.launch.bridges.layouts import LAYOUTS, save_layout
 from manyhands.launch.bridges.rosbag import ROSBAG, save_bag
 from manyhands.launch.files import EXIT_FAILED, EXIT_OK, claimed, require_new_target
 from manyhands.launch.look.display import printable, progress_bar, say, status
@@ -227,7 +227,9 @@ def export(
         format_ = to or (output.suffix[1:] if output is not None else "")
         if not format_:
             refuse(f"found neither --format nor -o; expected one of {', '.join(_EXPORTED)}, or a file with that suffix")
-        require_one_of("--format", format_, _EXPORTED)
+        if to is None and output is not None and output.suffix in LAYOUTS:
+            refuse(f"-o: found {output}, which is a layout's suffix; expected --layout {output}, or a table or a bag")
+        require_one_of("--format" if to is not None else "-o", format_, _EXPORTED)
         target = output or file.with_suffix(f".{format_}")
         require_format(target, (f".{format_}",))
         if format_ != ROSBAG:

@@ -79,7 +79,9 @@ def test_the_digest_is_of_the_numbers_and_not_of_their_packing() -> None:
 
 
 def test_a_cell_decides_how_large_a_tool_may_be() -> None:
-    assert grid_of_mesh(shape("box"), 0.004, 8).largest_radius == pytest.approx(0.024)
+    grid = grid_of_mesh(shape("box"), 0.004, 8)
+    assert grid.largest_radius == pytest.approx(0.024)
+    assert [grid.band_for(radius) for radius in (0.004, 0.0041, 0.024)] == [3, 4, 8]
 
 
 def altered(**entries: Any) -> str:

@@ -473,5 +473,7 @@ def test_hostile_proxies_are_held_and_replayed_to_the_last_bit(file: Path) -> No
 def test_a_model_without_the_method_is_named_with_the_remedy(file: Path) -> None:
     with pytest.raises(FactoryError, match=r"found Active with react alone; expected an object with proxy\(x, k\)"):
         Simulation(prepare(load_session(file, ["environment.stiffness=10"])))
-    with pytest.raises(FactoryError, match=r"found Ahead with proxy alone; .* state stiffness in the session"):
+    with pytest.raises(
+        FactoryError, match=r"found Ahead with proxy alone; .* state stiffness in the session.*--stiffness"
+    ):
         Simulation(prepare(load_session(file, [f"environment.model={MODULE}:Ahead"])))

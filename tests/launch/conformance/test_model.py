@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -11,7 +12,7 @@ import pytest
 
 from manyhands.launch.conformance.driver import BLOCKING, EXCEPTION, SIGN, WRONG_ANSWER
 from manyhands.launch.conformance.judgement import Conformance, Judgement, broken
-from manyhands.launch.conformance.model import LEVEL, REPEATED, check_model
+from manyhands.launch.conformance.model import HELD, LEVEL, REPEATED, check_model
 from manyhands.launch.conformance.timing import CallTimer
 
 T = 1e-3
@@ -94,6 +95,24 @@ def test_a_broken_model_is_named_for_what_it_is(
     make: Callable[[], Callable[[np.ndarray, int], Any]], name: str
 ) -> None:
     assert broken(findings(make)) == [name]
+
+
+class Overshooting:
+    """Proxies that go further than their tools, which the proxy test holds where no spring is stretched, too."""
+
+    def proxy(self, x: np.ndarray, k: int) -> np.ndarray:
+        return x if k % 3 == 2 else 1.5 * x
+
+
+def test_no_more_steps_are_held_than_there_were() -> None:
+    ticks = itertools.count(0, 1000)
+    (text,) = (
+        finding.text
+        for finding in check_model("some:model", Overshooting, PORTS, T, 0.02, None, timer_of(ticks), 2000.0)
+        if finding.check == HELD
+    )
+    held, of = map(int, re.findall(r"shortened (\d+) of (\d+) steps", text)[0])
+    assert 0 < held <= of
 
 
 def test_a_model_that_differs_from_run_to_run_is_named() -> None:

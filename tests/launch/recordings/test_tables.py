@@ -205,6 +205,8 @@ def test_the_command_reports_a_cut_recording(tmp_path: Path) -> None:
     [
         ([], "found neither --format nor -o; expected one of csv, npz"),
         (["--format", "xls"], "--format: found 'xls'"),
+        (["-o", "out.xls"], "-o: found 'xls'"),
+        (["-o", "out.json"], "-o: found out.json, which is a layout's suffix; expected --layout out.json"),
         (["--format", "csv", "-o", "out.npz"], "expected one of .csv"),
         (["--format", "csv", "-o", "nowhere/out.csv"], "found no folder nowhere"),
         (["--format", "csv", "--topics", "dz"], "found 'dz'"),

@@ -340,6 +340,14 @@ AWAY = KEPT | {"promise": "presence", "state": "broken", "who": ["Cx"], "since":
 CHECKED = "all promises kept, or enforced: delay (dx)"
 
 
+def test_a_device_that_is_late_by_its_own_work_is_told_apart() -> None:
+    """Such as one whose driver waits; a few such ticks are any machine's."""
+    causes = {"a": {"own": 74, "partner": 90, "descheduled": 0}, "b": {"own": 9, "partner": 191, "descheduled": 0}}
+    nodes = {name: {"ticks": 1000, "late": sum(of.values()), "late_causes": of} for name, of in causes.items()}
+    report = whole({}) | {"nodes": nodes, "promises": [KEPT]}
+    assert last_line(report).endswith("late: b in 20 % of its ticks, a in 16.4 % of its ticks (7.4 % by its own work)")
+
+
 @pytest.mark.parametrize(
     ("late", "given", "rows", "said"),
     [

@@ -115,7 +115,7 @@ def test_what_is_drawn_has_tools_and_triangles(path: Path) -> None:
         (
             "tools.anna.radius=0.0045",
             "tools.anna.radius",
-            "0.0045; expected at most 0.004, or a grid with a wider --band",
+            "0.0045; expected at most 0.004, or a grid of manyhands mesh --band 5",
         ),
         ("level=-1", "level", "-1"),
         ("grid=x", "grid", "grid"),

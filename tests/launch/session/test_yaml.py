@@ -172,6 +172,7 @@ def test_an_override_forgets_the_places_of_what_it_replaced(tree: SessionTree) -
         ("links.2.stiffness=1", "links: found no '2'; expected a position from 0 to 1"),
         ("links.2=1", "links: found no '2'; expected a position from 0 to 1"),
         ("links.-1.stiffness=1", "links: found no '-1'; expected a position from 0 to 1"),
+        ("devices.dx.hand.mass.x=1", "expected mass, or 'hand' as a whole: devices.dx.hand={mass: {x: ...}}"),
         ("devices.dx.mass.x=1", "devices.dx.mass: found 0.2; expected a mapping or a list there"),
         ("devices.dx=mass: 1", "found 'mass: 1'; expected a plain value, or one in [ ] or { }"),
         ("devices.dx=[1", "found text that is not YAML"),

@@ -335,6 +335,7 @@ def test_what_a_driver_says_of_its_own_hardware_is_said_alone() -> None:
         (PluginDevice(FactoryName("builtins:dict", {}), 1), "cannot be made: found TypeError"),
         (PluginDevice(FactoryName("builtins:isinstance", {}), 1), "cannot be made: found TypeError"),
         (PluginDevice(FactoryName("nowhere.at_all:f", {}), 1), "cannot be made: found ModuleNotFoundError"),
+        (PluginDevice(FactoryName("stick.py:Stick", {}), 1), "a module is named without its suffix, stick:Stick"),
     ],
 )
 def test_a_driver_that_cannot_be_made_is_named(device: PluginDevice, found: str) -> None:
@@ -365,7 +366,7 @@ def test_a_failure_names_the_driver_and_the_call_and_the_release_after_it_raises
     with pytest.raises(DriverFailure) as caught:
         mapped.apply([1.0, 0.0, 0.0], instant(0))
     assert str(caught.value) == (
-        "the driver some:driver failed in apply: found OSError: no such device; expected a displacement or None"
+        "the driver some:driver failed in apply: found OSError: no such device; expected no exception"
     )
     assert caught.value.raised
     assert mapped.release(instant(0)) is None

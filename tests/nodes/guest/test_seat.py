@@ -195,6 +195,21 @@ def test_a_guest_is_told_that_the_host_has_ended_the_session(
 
 
 @pytest.mark.parametrize(
+    ("stopping", "says"), [(False, "the host ended the session before the seat was taken"), (True, "")]
+)
+def test_a_guest_that_measured_until_the_host_ended_is_told_so(
+    stopping: bool, says: str, visit: Any, life: SeatLife, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    def attempt(_: SeatLife) -> int:
+        life.stopping = stopping  # its user did not want it, and knows that
+        return 0
+
+    monkeypatch.setattr(visit, "_attempt", attempt)
+    assert visit.stay(life) == 0
+    assert capsys.readouterr().err == (f"ball: {says}\n" if says else "")
+
+
+@pytest.mark.parametrize(
     ("trips", "calm"), [([4] * 200, True), ([4] * 150 + [7] * 50, True), ([4] * 190 + [90] * 10, False), ([], False)]
 )
 def test_a_burst_is_measured_again(trips: list[int], calm: bool) -> None:

@@ -120,6 +120,7 @@ export class Grips {
     const turns = this.session.turnsInSpace(device);
     let moved = null; // while a pointer holds the device
     let pointer = null; // which
+    handle.addEventListener("touchstart", (event) => event.cancelable && event.preventDefault(), { passive: false });
     if (turns) handle.addEventListener("contextmenu", (event) => event.preventDefault());
     handle.addEventListener("pointerdown", (event) => {
       const turning = turns && (event.button === 2 || (event.button === 0 && event.shiftKey));

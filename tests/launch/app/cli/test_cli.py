@@ -89,7 +89,11 @@ LINK = "couplings.cx.wave_link={mass: 0.5, round_trip: 0.1}"
         (["budget", "--osp", "1", "--kappa", "9", "--force", "3"], "--fastest: found 0; expected a number greater"),
         (["simulate", "example1", "--delay", "40ms"], "found a session without a wave link"),
         (["simulate", "example1", "--set", LINK, "--delay", "4o"], "--delay: found '4o'; expected a time, such as"),
-        (["simulate", "example1", "--set", LINK, "--loss", "95%"], "found 0.95; expected a part of the waves"),
+        (["simulate", "example1", "--set", LINK, "--loss", "95%"], "--loss: found '95%'; expected a part of the waves"),
+        (
+            ["simulate", "ball", "--delay", "80"],
+            "--delay: found '80'; expected a time under way in s from 0 to 10, such",
+        ),
         (["launch", "example1", "--set", LINK, "--jitter", "1ms"], "expected --clock simulated"),
         (["design"], "Missing argument"),
         (["dance"], "No such command"),
