@@ -38,13 +38,13 @@ pytest: $(VENV)/.installed
 	$(BIN)/pytest -n $(WORKERS) $(SPREAD) -m "not alone and not long"
 	$(BIN)/pytest -m "alone and not long" $(ALONE)
 
-# what `make test` leaves out: further cases of its properties, and wider searches of random ones
+# what `make test` leaves out: tests that take long, and wider searches of random cases
 test-long campaign: export MANYHANDS_WIDE = 1
 test-long: $(VENV)/.installed
 	$(BIN)/pytest -n $(WORKERS) $(SPREAD) -m "(long or wide) and not alone"
 	$(BIN)/pytest -m "(long or wide) and alone and not minutes" $(ALONE)
 
-# what `make test` leaves out but the wide searches, as CI runs it after `make test`
+# what `make test` leaves out, for it takes long, but the wide searches; CI runs it after `make test`
 test-rest: $(VENV)/.installed
 	$(BIN)/pytest -n $(WORKERS) $(SPREAD) -m "long and not alone"
 	$(BIN)/pytest -m "long and alone and not minutes" $(ALONE)

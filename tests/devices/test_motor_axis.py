@@ -356,6 +356,7 @@ HEAVY = Rotor(J=2e-3, b=1e-3)
 """A push of half a second turns it by half a radian."""
 
 
+@pytest.mark.long
 @pytest.mark.alone  # its calls and samples are judged by the clock
 def test_the_suite_finds_the_driver_in_order(kind: Kind) -> None:
     of, fake = kind

@@ -72,6 +72,7 @@ def values(signals: np.ndarray, form: str) -> dict[bytes, str]:
     return {struct.pack(form, value): f"{value!r} ({form})" for value in signals.tolist() if is_distinctive(value)}
 
 
+@pytest.mark.long
 @pytest.mark.alone
 def test_a_capture_shows_insecure_sessions_whole_and_keyed_ones_not(folder: Path) -> None:
     keyed = captured(folder, "--keys", folder / "keys")

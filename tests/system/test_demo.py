@@ -12,6 +12,7 @@ from ..support.commands import manyhands_command
 pytestmark = [pytest.mark.alone, pytest.mark.usefixtures("own_interrupt")]
 
 
+@pytest.mark.long
 def test_a_demonstration_in_real_time(tmp_path: Path) -> None:
     result = manyhands_command("demo", "-o", tmp_path, "--duration", "3")
     assert "without coupling, as seven processes in real time: " in result.stdout, result.stderr

@@ -86,6 +86,7 @@ def unfounded(text: str) -> list[str]:
     return found
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("own_interrupt")
 def test_every_block_prints_its_quoted_output(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In the page's order, in one folder: commands leave files that the code reads, and the other way round."""

@@ -37,6 +37,7 @@ MINUTES = [pytest.mark.long, pytest.mark.alone, pytest.mark.minutes]
 EACH = [pytest.param(device, marks=[] if device == ALWAYS else MINUTES) for device in ROWS]
 
 
+@pytest.mark.long
 @pytest.mark.wide
 @pytest.mark.parametrize("device", EACH)
 def test_a_device_that_fails_exerts_nothing_and_comes_back_and_nobody_else_feels_it(

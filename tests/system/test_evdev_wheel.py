@@ -75,6 +75,7 @@ def test_a_wheel_is_felt_in_a_session_and_its_recording_holds(
     assert ": holds (" in run("audit", recording)
 
 
+@pytest.mark.long
 def test_a_wheel_that_is_unplugged_comes_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its device's process ends by name, a new one opens it anew, and the session goes on."""
     with fake_wheel(HANDS, hz=HZ) as one:

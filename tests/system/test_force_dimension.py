@@ -77,6 +77,7 @@ def test_a_device_is_felt_in_a_session_and_its_recording_holds(tmp_path: Path, d
     assert "torques," in audited  # the driver's work is that of the stated kinematics
 
 
+@pytest.mark.long
 def test_a_device_that_is_unplugged_comes_back(tmp_path: Path, devices: FakeDevices) -> None:
     report = tmp_path / "omega.json"
     with started(

@@ -77,6 +77,7 @@ def test_two_devices_of_one_service_are_felt_in_a_session_and_its_recording_hold
     assert ": holds (" in run("audit", recording)
 
 
+@pytest.mark.long
 def test_a_service_that_was_killed_and_started_again_comes_back(tmp_path: Path) -> None:
     """The device's process ends by name, a new one finds the service, and the session goes on."""
     with fake_haply(**HAND) as one:

@@ -37,6 +37,7 @@ faces._Face.message = message
 '''
 
 
+@pytest.mark.long
 @pytest.mark.alone
 def test_bursts_of_a_guest_end_no_session_and_change_no_other_account(tmp_path: Path) -> None:
     """Nothing bounded such waves: the world played all of them, and the tanks at both ends kept what they left."""

@@ -107,10 +107,8 @@ def stiffness_felt(recording: Path) -> float:
 
 @pytest.mark.long
 @pytest.mark.alone  # beside other tests the loop has no turns
-@pytest.mark.parametrize(
-    "driver",
-    [name if name == "serial-board" else pytest.param(name, marks=pytest.mark.minutes) for name in ROWS],
-)
+@pytest.mark.minutes
+@pytest.mark.parametrize("driver", ROWS)
 def test_a_device_is_identified_in_real_time_and_its_wall_is_felt(driver: str, tmp_path: Path) -> None:
     row = ROWS[driver]
     for period in PERIODS if row.free.stated else PERIODS[:1]:

@@ -133,6 +133,7 @@ def on(host: str) -> tuple[str, ...]:
     return (*words, "--program", f"{sys.executable} -P -m manyhands")
 
 
+@pytest.mark.long
 def test_one_command_starts_nodes_on_another_machine(home: Home, stand: Stand, tmp_path: Path) -> None:
     with wan(Wire()) as one:
         stand_in(stand, one)

@@ -28,6 +28,7 @@ def mechanisms(monkeypatch: pytest.MonkeyPatch) -> Any:
     return import_module("benchmarks.mechanisms")
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("own_interrupt")
 def test_its_commands_print_what_it_quotes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mechanisms: Any) -> None:
     """In the page's order, in one folder."""
@@ -56,6 +57,7 @@ def test_its_kinematics_are_those_of_a_session(mechanisms: Any, tmp_path: Path) 
     assert device.held.kappa == pytest.approx(9.15, abs=0.01)
 
 
+@pytest.mark.long
 def test_its_tables_are_those_of_the_program(mechanisms: Any) -> None:
     """Of the slower ones the rows of one device; the rest are other values of the same."""
     tables = dict(TABLE.findall(PAGE))

@@ -147,6 +147,7 @@ def test_a_devices_bundle_has_nothing_of_the_others(owner: Owner) -> None:
     assert known <= Patterns(keys).found_in([content]) <= known | {owner.publics[DEVICE]}
 
 
+@pytest.mark.long
 def test_a_remote_device_never_holds_other_parties_data(owner: Owner, machine: Path) -> None:
     port = free_ports(16)[0]
     others = owner.raw(*distinctive_session.DEVICES[1:], ENVIRONMENT)

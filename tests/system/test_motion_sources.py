@@ -44,6 +44,7 @@ design: {{coupling: spring-damper, tau: 0.003, period_tolerance: 0.5}}
 """
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("kind", "driver", "axis_map", "pushed"),
     [

@@ -75,6 +75,7 @@ def test_a_knob_is_felt_in_a_session_and_its_recording_holds(driver: str, fake: 
     assert ": holds (" in run("audit", recording)
 
 
+@pytest.mark.long
 @KINDS
 def test_a_knob_comes_back_after_its_watchdog_and_after_it_was_unplugged(
     driver: str, fake: Fake, tmp_path: Path

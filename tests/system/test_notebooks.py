@@ -46,6 +46,7 @@ def unfounded(prose: str, shown: str) -> list[str]:
     ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_runs_and_tells_no_other_numbers(notebook: Path, tmp_path: Path) -> None:
     done = subprocess.run(

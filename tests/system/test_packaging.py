@@ -101,6 +101,7 @@ def test_the_metadata_are_valid_and_name_every_extra(wheel: Path) -> None:
     assert {*EXTRAS, "all", "dev", "docs"} == {*(found.provides_extra or ())}
 
 
+@pytest.mark.long
 def test_the_installed_package_designs_and_runs(wheel: Path, tmp_path: Path) -> None:
     """With nothing of the checkout on the path but its dependencies."""
     site = tmp_path / "site"

@@ -119,6 +119,7 @@ def test_the_page_of_a_session_that_is_dragged_and_hurt() -> None:
         assert wrong == []
 
 
+@pytest.mark.long
 def test_two_people_carry_a_ball_in_two_browsers() -> None:
     """Each drags one tool with a mouse: towards the ball, and up."""
     assert CHROMIUM is not None, "MANYHANDS_REQUIRE_BROWSER is set, and there is no chromium"
@@ -140,6 +141,7 @@ def test_two_people_carry_a_ball_in_two_browsers() -> None:
     assert wrong == []
 
 
+@pytest.mark.long
 def test_a_person_turns_a_bar_between_rails_in_a_browser(tmp_path: Path) -> None:
     """The rails hold it, so device and tool differ, and a torque acts; let go, the device turns back to its tool."""
     assert CHROMIUM is not None, "MANYHANDS_REQUIRE_BROWSER is set, and there is no chromium"

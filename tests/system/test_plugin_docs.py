@@ -39,6 +39,7 @@ def written(page: str, folder: Path) -> str:
     return text
 
 
+@pytest.mark.long
 @pytest.mark.alone  # `check-driver` judges how long calls take, by the clock
 @pytest.mark.parametrize("page", PAGES)
 def test_a_page_is_followed_from_its_template_to_a_recording(page: str, tmp_path: Path) -> None:
@@ -123,6 +124,7 @@ class Joystick(Good):
 """
 
 
+@pytest.mark.long
 def test_a_driver_that_fails_is_released_and_named_and_ends_a_session_that_is_to_stay_together(tmp_path: Path) -> None:
     written("drivers", tmp_path)
     (tmp_path / "unplugged.py").write_text(UNPLUGGED)
@@ -222,6 +224,7 @@ def test_a_bundle_from_elsewhere_runs_its_code_only_where_the_user_names_it(page
         assert "this code ran" not in done.stderr
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("own_interrupt")
 def test_a_recording_brings_no_code_along(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """audit and info run none; replay runs a model that is on the user's own path, and a driver never."""

@@ -7,6 +7,7 @@ import signal
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from manyhands.launch.recordings.info import read_info
 from manyhands.launch.recordings.integrity import findings
@@ -15,6 +16,7 @@ from manyhands.launch.recordings.run import read_run
 from ..support.commands import read_until, started
 
 
+@pytest.mark.long
 def test_a_running_session_is_recorded_from_another_terminal(tmp_path: Path) -> None:
     kept, part, rest = tmp_path / "run", tmp_path / "part.mcap", tmp_path / "rest.mcap"
     slow = ["--set", "design.tau=0", "--set", "period=0.01"]  # a tenth of the ticks to record and to read

@@ -174,6 +174,7 @@ def may_mount() -> bool:
     return subprocess.run(try_it, capture_output=True, check=False).returncode == 0
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not may_mount(), reason="a disk of one's own needs a user namespace; the kernel refuses it here")
 def test_a_full_disk_ends_the_recording_and_not_the_session(expected: Recording, tmp_path: Path) -> None:
     (tmp_path / "disk").mkdir()

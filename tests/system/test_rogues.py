@@ -45,6 +45,7 @@ def test_without_rogues_nothing_is_refused_and_the_values_are_the_simulations() 
         assert not {"refused", "dropped"} & node.keys()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("run", [surrounded, infested], ids=["rogues around it", "rogues within it"])
 def test_ticks_and_values_are_those_of_a_run_without_rogues(run: Callable[[], Played]) -> None:
     played = run()

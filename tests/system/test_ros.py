@@ -94,7 +94,7 @@ JAW_TOPICS = {
 }
 ENOUGH = 5  # messages of each of them
 
-pytestmark = pytest.mark.usefixtures("own_interrupt")
+pytestmark = [pytest.mark.usefixtures("own_interrupt"), pytest.mark.long]
 
 
 @dataclass

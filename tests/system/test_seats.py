@@ -341,6 +341,7 @@ def test_across_a_wan_a_link_that_is_lost_for_a_while_comes_back(tmp_path: Path)
     require_unaccused(home / "run.mcap")
 
 
+@pytest.mark.long
 @pytest.mark.alone
 def test_a_guest_turns_a_tool_of_an_engine_whose_seat_was_empty(tmp_path: Path) -> None:
     """What rides goes by datagrams with the waves; the world began with nobody at its tools."""
@@ -370,6 +371,7 @@ def test_a_guest_turns_a_tool_of_an_engine_whose_seat_was_empty(tmp_path: Path) 
     require_unaccused(home / "run.mcap")
 
 
+@pytest.mark.long
 @pytest.mark.alone
 def test_a_guest_is_told_the_round_trip_that_the_host_sees(tmp_path: Path) -> None:
     """That of `top` a moment later. On a busy machine it goes on changing, so it is one of those that were recorded."""

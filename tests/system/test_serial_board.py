@@ -53,6 +53,7 @@ def test_a_board_is_felt_in_a_session_and_its_recording_holds(tmp_path: Path) ->
     assert ": holds (" in run("audit", recording)
 
 
+@pytest.mark.long
 def test_a_board_that_resets_itself_comes_back(tmp_path: Path) -> None:
     """Its device's process ends by name, a new one greets the board anew, and the session goes on."""
     with fake_board(HAND, period_us=500) as one:

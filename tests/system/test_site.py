@@ -24,6 +24,7 @@ from ..support.site import CHROMIUM, PAGES, ROOT, build, found_by, opened, site_
 
 GENERATED, READING = site_module("generated"), site_module("reading")
 REQUIRED = os.environ.get("MANYHANDS_REQUIRE_BROWSER") == "1"
+pytestmark = pytest.mark.long  # a site takes half a minute to build
 
 
 @pytest.fixture(scope="module")

@@ -49,6 +49,7 @@ def test_its_install_line_brings_what_its_commands_need() -> None:
     assert {arguments[0] for _, arguments, _, _ in typed()} <= brought
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("own_interrupt")
 def test_the_two_terminals_show_what_they_say(tmp_path: Path) -> None:
     """A page is served that a browser may open; Ctrl-C ends both commands."""

@@ -61,6 +61,7 @@ def test_the_object_has_what_was_measured_and_what_it_means() -> None:
         assert f"`{key}`" in text, f"docs/doctor.md does not tell what {key!r} is"
 
 
+@pytest.mark.long
 @pytest.mark.alone  # it measures the machine
 def test_people_get_tables_of_any_session() -> None:
     result = doctor("example1-centralised", "--duration", "1")  # one coupling with three devices
