@@ -583,6 +583,11 @@ def _closed(bench: Bench) -> Judgement:
     return Judgement(CLOSE, Conformance.KEPT, "closed twice")
 
 
+def _micro(value: float) -> str:
+    """A time in µs: three digits, and all of a thousand and more."""
+    return f"{value:.3g}" if value < 1000.0 else f"{value:.0f}"
+
+
 def _times(bench: Bench) -> Iterator[Judgement]:
     """The durations of the calls of the loop."""
     T, texts = bench.T * 1e6, []
@@ -590,7 +595,7 @@ def _times(bench: Bench) -> Iterator[Judgement]:
         if method not in bench.durations:
             continue
         p50, most = (float(value) / 1e3 for value in np.percentile(bench.durations[method], (50, 100)))
-        texts.append(f"{method} p50 {p50:.3g} µs, at most {most:.3g} µs")
+        texts.append(f"{method} p50 {_micro(p50)} µs, at most {_micro(most)} µs")
         longer = sum(value > 1e3 * T for value in bench.durations[method])
         if p50 > T / 2 or longer:
             expected = f"a median of at most {T / 2:g} µs and never more than {T:g} µs, the period"

@@ -46,6 +46,7 @@ _CLOSE = 2e-4  # relative: how closely a limit is found
 _TRIED = 0.999  # of what was found to help, closest to the limit: the value that is offered
 _BELOW = (0.985, 0.96)  # of the same: what has to help as well, so that there is no gap right beside it
 _WIDEST = 64.0  # by how much a quantity is changed at most
+_RANGE = 1e6  # likewise, of a quantity that the session does not state
 _REFUSED = (DesignError, NotCertified, SessionError, ValueError, np.linalg.LinAlgError)
 
 
@@ -80,6 +81,7 @@ class Lever:
         inverse: the paths of values that go the other way.
         scale: from the session's unit to the one in which it is stated.
         note: what follows the figure.
+        widest: by how much it is changed at most.
     """
 
     what: str
@@ -90,6 +92,7 @@ class Lever:
     inverse: frozenset[str] = field(default_factory=frozenset)
     scale: float = 1.0
     note: str = ""
+    widest: float = _WIDEST
 
     def at(self, share: float) -> dict[str, Any]:
         """The values at ``share`` of the way that the session has: 1 leaves them, and less is meant to help more."""
@@ -279,7 +282,7 @@ def _tried(session: Session, name: str, way: Lever | Cap | Option, left: TimeLef
         return designed(way.at(share)) is not None
 
     for helps in (levels, proved):
-        if (share := _limit(helps)) is None:
+        if (share := _limit(helps, way.widest if isinstance(way, Lever) else _WIDEST)) is None:
             return None
         changes = way.at(share * _TRIED)
         if (gives := designed(changes)) is not None:
@@ -313,7 +316,7 @@ def _gives(session: Session, name: str) -> str:
     return f"at {least} {unit}" if least == most else f"at {least} to {most} {unit}"
 
 
-def _limit(helps: Callable[[float], bool]) -> float | None:
+def _limit(helps: Callable[[float], bool], widest: float = _WIDEST) -> float | None:
     """The greatest share of a quantity that helps, up to a relative 0.02 %; None if there is none.
 
     Beside an environment that lacks passivity a gain may certify a coupling only close below its limit, and not a
@@ -321,9 +324,9 @@ def _limit(helps: Callable[[float], bool]) -> float | None:
     top, for a program that fails at one number far below would otherwise be taken for the limit.
     """
     high = 1.0
-    while high > 1.0 / _WIDEST and not helps(low := high / 2.0):
+    while high > 1.0 / widest and not helps(low := high / 2.0):
         high = low
-    if high <= 1.0 / _WIDEST:
+    if high <= 1.0 / widest:
         return None
     while high / low > 1.0 + _CLOSE:
         middle = math.sqrt(low * high)
@@ -603,6 +606,20 @@ def _at_every_speed(session: Session, plain: dict[str, Any], name: str) -> Ways:
     return (Option("no design.speed", {"design": {key: value for key, value in design.items() if key != "speed"}}),)
 
 
+def _below_a_speed(session: Session, plain: dict[str, Any], name: str) -> Ways:
+    """A speed below which the dry friction of devices counts as damping."""
+    devices = [session.devices[device] for device in _devices(session, name)]
+    if name == ENVIRONMENT or session.wave_links or "speed" in plain["design"]:
+        return ()
+    if not any(device.friction for device in devices):
+        return ()
+    friction = max(_numbers([device.friction.least for device in devices if device.friction]), default=0.0)
+    level = min(float(np.diag(session.osp_level(device)).min()) for device in _devices(session, name))
+    # there friction is worth 0.01 % of the damping, which is less than a limit is found by
+    values = {"design.speed": 1e4 * friction / level}
+    return _lever(session, "a design.speed", "m/s", values, widest=_RANGE, note=", beyond which nothing is proved")
+
+
 def _held(kind: Callable[..., Ways]) -> Callable[..., Ways]:
     """A lever of devices whose motors hold torques alone: for others their limits decide nothing."""
 
@@ -626,6 +643,7 @@ _KINDS: Final[tuple[Callable[[Session, dict[str, Any], str], Ways], ...]] = (
     _held(_of_mechanism("orientation.limits.torque", "a greatest torque", "N·m")),
     _of_mechanism("step", "a step of the encoder", "m"),
     _of_mechanism("friction.least", "a dry friction", "N", up=True),
+    _below_a_speed,
     _at_every_speed,
     _without_aim,
     _less_harvest,

@@ -313,8 +313,8 @@ def _why_waiting(link: Link, invitation: Invitation, timeout: float) -> str:
     """Why a guest waits for so long: nobody is there, or somebody else has the seat."""
     if _nobody(link):
         return (
-            f"{invitation.session}: nobody answers at {invitation.address}: the session may not run yet; waiting for "
-            f"{timeout:g} s altogether (--timeout); Ctrl-C ends"
+            f"{invitation.session}: nobody answers at {invitation.address}: the session may not run yet, or not any "
+            f"more; waiting for {timeout:g} s altogether (--timeout); Ctrl-C ends"
         )
     return (
         f"{invitation.session}: no answer yet: somebody may have taken the seat {invitation.seat} with this "

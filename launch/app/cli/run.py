@@ -125,6 +125,13 @@ def simulate(
         for name, link in simulation.links.items():
             if (impedance := loaded.impedance_of(name)) is not None and ticks:
                 say(out, link.felt(impedance, loaded.kinds_of(name)).sentence(name, over=True))
+        absent = [name for name, device in loaded.devices.items() if device.driver == "browser"]
+        for name in absent:
+            say(
+                err,
+                f"{name}: nobody is at the browser in a simulation, and its hand rests; launch the session for a "
+                "person, or give it driver: simulated and a hand",
+            )
         for line in (*network_lines(loaded, SIMULATED), *engine_lines(loaded)):
             say(err, line)
         world, parties = simulation.environment, tuple(simulation.couplings)

@@ -80,6 +80,18 @@ def test_too_stiff_a_coupling_has_its_limit_and_what_else_would_do() -> None:
     assert "could help" not in str(error)  # nothing is searched before it is asked for
 
 
+def test_dry_friction_may_count_below_a_speed_and_the_limit_is_one() -> None:
+    rubbing = {f"devices.{name}.friction": {"least": 0.2} for name in ("dx", "dy", "dz")}
+    session = mh.load("example1", {**rubbing, "design": {"coupling": "given", "stiffness": 3000.0}})
+    (printed,) = (text for text in refused({}, session).relax if text.startswith("a design.speed"))
+    most = float(printed.split()[3])
+    assert printed.startswith(f"a design.speed below {most:g} m/s, beyond which nothing is proved: --set design.speed=")
+    assert 2.0 * (1.37 + 0.2 / most) / 1e-3 == pytest.approx(3000.0, rel=1e-3)
+    assert mh.certify(session.replace({"design.speed": 0.999 * most})).loop.speed == 0.999 * most
+    with pytest.raises(Infeasible):
+        mh.certify(session.replace({"design.speed": 1.001 * most}))
+
+
 @pytest.mark.parametrize(
     ("stiffness", "damping", "printed"),
     [
