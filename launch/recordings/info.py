@@ -222,7 +222,8 @@ class _InfoReader:
         rate_of = self._recorded.rate_of
         begun = [session_tick(own.first, rate_of(name)) for name, own in devices.items() if own.first is not None]
         ends = (session_tick(own.next - 1, rate_of(name)) + 1 for name, own in devices.items())
-        end = max(self._end, *ends)  # a session may go on without a device
+        world = self._end if self._recorded.linked else 0  # a session of guests may go on without a device
+        end = max([world, *ends])
         spans = spans_by_party(devices, rate_of)
         away = {} if self._away is None else self._away.of(spans)
         missing = missing_by_party(devices, spans, away)
