@@ -127,7 +127,8 @@ def test_in_real_time_the_shipped_tools_turn_as_they_are_to(name: str, ticks: in
     masses, turned = rows_of(run, "environment", "q"), rows_of(run, "environment", "R")
     if name == "insert":
         depth = masses[:, 5] + 0.025 - (masses[:, 2] - 0.035)
-        assert np.nanmax(depth[:2400]) < 0.001  # m: on the rim until it is wiggled
+        # m: on the rim until it is wiggled, at 2.4 s of the hands' clock, of which a busy world's ticks may be behind
+        assert np.nanmax(depth[:2000]) < 0.001
         assert np.nanmedian(depth[4600:]) == pytest.approx(0.04, abs=5e-4)
     elif name == "screw":
         turned = -np.unwrap(2.0 * np.arctan2(turned[:, 7], turned[:, 4])) / (2.0 * np.pi)
