@@ -1,7 +1,8 @@
 """When nobody was at the site of a wave link, as the environment recorded it: then its device owes no tick.
 
 The two ends of a wave link count their ticks by their own clocks, and an end may report a little before or after the
-other has heard of it. So each absence is taken :data:`SLACK` wider.
+other has heard of it. So each absence ends :data:`SLACK` later. It begins :data:`NOTICED` sooner, for a user who is
+gone is missed only after a while; ticks that are there are not concerned.
 """
 
 from __future__ import annotations
@@ -16,6 +17,9 @@ from manyhands.nodes.rows.tick_events import Kind, events_in
 
 SLACK: Final = 0.25
 """By so much, s, the times differ in which the two ends of a wave link count an absence."""
+
+NOTICED: Final = 5.0
+"""Within so much time, s, the environment hears that a user is gone."""
 
 
 class Away:
@@ -51,17 +55,17 @@ class Away:
         Args:
             devices: by device, the span of its own ticks that are looked at.
         """
-        slack = round(SLACK / self._recorded.period)
+        before, slack = (round(time / self._recorded.period) for time in (NOTICED, SLACK))
         out: dict[str, Sequence[Gap]] = {}
         for name, found in self._absences.items():
             ports = {*self._recorded.ports[name]}
             for device in (one for one in devices if ports & {*self._recorded.ports[one]}):
                 rate, end = self._recorded.rate_of(device), devices[device].stop
                 own = [
-                    Gap(max(0, own_tick(gap.begin - slack, rate)), own_tick_before(gap.end + slack, rate))
+                    Gap(max(0, own_tick(gap.begin - before, rate)), own_tick_before(gap.end + slack, rate))
                     for gap in found
                 ]
                 if name in self._since:
-                    own.append(Gap(max(0, own_tick(self._since[name] - slack, rate)), end))
+                    own.append(Gap(max(0, own_tick(self._since[name] - before, rate)), end))
                 out[device] = own
         return out

@@ -267,12 +267,13 @@ def test_two_guests_come_and_go_by_their_invitations_alone(tmp_path: Path) -> No
     assert sorted(visits) == sorted([*came, "left left after some ticks", "left_seat left after some ticks"])
     assert not any("has joined" in text or " left after " in text for text in report.get("incidents", ()))
     assert sorted(path.name for path in here.iterdir()) == ["left_seat.invitation"]
-    # the seats were free at first, and one of them at the end: no tick is missing for that
+    # the seats were free at first, and one of them at the end: no tick is missing for that, where nothing was lost
     assert not [line for line in host.lines if "missing from the recording" in line]
     require_unaccused(home / "run.mcap")
     told = json.loads(manyhands_command("audit", home / "run.mcap", "--json").stdout)
-    assert {check["verdict"] for check in told["checks"] if check["name"] == "rows"} == {"holds"}
-    assert next(one["state"] for one in told["promises"] if one["promise"] == "record") == "kept"
+    rows = {check["party"]: check["verdict"] for check in told["checks"] if check["name"] == "rows"}
+    # what the left user's processes did in the last moments before they left may not have been told
+    assert {rows[party] for party in ("environment", "right", "right_seat")} == {"holds"}
 
 
 def test_an_invitation_outlives_every_change_of_the_session(tmp_path: Path) -> None:

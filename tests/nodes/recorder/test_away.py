@@ -10,14 +10,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from manyhands.launch.recordings.info import read_info
-from manyhands.nodes.recorder.away import SLACK, Away
+from manyhands.nodes.recorder.away import NOTICED, SLACK, Away
 from manyhands.nodes.recorder.core import RecorderCore
 from manyhands.nodes.recorder.coverage import Coverage, Gap, missing_by_party, without
 
 from ...support.small_recordings import RECORDED, STARTED, observation
 
 LINKED = replace(RECORDED, linked=("c",))
-WIDER = round(SLACK / RECORDED.period)
+WIDER, BEFORE = (round(time / RECORDED.period) for time in (SLACK, NOTICED))
+LATE = 2 * BEFORE
 
 
 def away(*told: dict[str, float], rate: float = 1.0) -> list[Gap]:
@@ -25,17 +26,20 @@ def away(*told: dict[str, float], rate: float = 1.0) -> list[Gap]:
     one = Away(replace(LINKED, periods=periods))
     for figures in told:
         one.take(figures)
-    return [*one.of({"dx": range(5000)})["dx"]]
+    return [*one.of({"dx": range(3 * BEFORE)})["dx"]]
 
 
 @pytest.mark.parametrize(
     ("told", "expected"),
     [
         ([{"free:c@0": 1.0}, {"returned:c@1000": 1.0}], [Gap(0, 1000 + WIDER)]),
-        ([{"free:c@0": 1.0}], [Gap(0, 5000)]),
-        ([{"returned:c@1000": 1.0}, {"frozen:c@2000": 1.0, "returned:c@3000": 1.0}], [Gap(2000 - WIDER, 3000 + WIDER)]),
-        ([{"returned:c@3": 1.0}, {"began@4000": 1.0}], [Gap(4000 - WIDER, 5000)]),
-        ([{"frozen:c@1000": 1.0}, {"began@2000": 1.0, "returned:c@2500": 1.0}], [Gap(1000 - WIDER, 2500 + WIDER)]),
+        ([{"free:c@0": 1.0}], [Gap(0, 3 * BEFORE)]),
+        (
+            [{"returned:c@1000": 1.0}, {f"frozen:c@{LATE}": 1.0, f"returned:c@{LATE + 9}": 1.0}],
+            [Gap(LATE - BEFORE, LATE + 9 + WIDER)],
+        ),
+        ([{"returned:c@3": 1.0}, {f"began@{LATE}": 1.0}], [Gap(LATE - BEFORE, 3 * BEFORE)]),
+        ([{"frozen:c@1000": 1.0}, {"began@2000": 1.0, "returned:c@2500": 1.0}], [Gap(0, 2500 + WIDER)]),
         ([{"frozen:other@1000": 1.0, "began@0": 1.0}], []),
     ],
 )
@@ -44,8 +48,8 @@ def test_absences_are_those_that_the_environment_states(told: list[dict[str, flo
 
 
 def test_they_are_in_the_ticks_of_the_device() -> None:
-    [gap] = away({"frozen:c@1000": 1.0, "returned:c@2000": 1.0}, rate=2.0)
-    assert gap == Gap(2 * (1000 - WIDER), 2 * (2000 + WIDER))
+    [gap] = away({f"frozen:c@{LATE}": 1.0, f"returned:c@{LATE + 9}": 1.0}, rate=2.0)
+    assert gap == Gap(2 * (LATE - BEFORE), 2 * (LATE + 9 + WIDER))
 
 
 def test_a_device_without_a_wave_link_is_never_away() -> None:
