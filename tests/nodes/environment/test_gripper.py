@@ -7,26 +7,21 @@ import pytest
 
 from manyhands.design.models.axis import AxisKind
 from manyhands.launch.audit.simulation import Simulation
-from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.session.shipped import load_named
-from manyhands.nodes.environment.enforced import EnforcedCore
+
+from ...support.engine_runs import Traces, simulated, world_kept
 
 HALF = 0.02  # m, of the cube, which begins at (-30, 0) mm on the table
 
 
-def carried(*changes: tuple[str, str]) -> tuple[Simulation, dict[str, np.ndarray]]:
+def carried(*changes: tuple[str, str]) -> tuple[Simulation, Traces]:
     """Six seconds of the session, whose model has these changes of its text."""
     session = load_named("gripper", [])
     data = session.to_dict()
     for before, after in changes:
         assert before in data["environment"]["model"]
         data["environment"]["model"] = data["environment"]["model"].replace(before, after)
-    simulation = Simulation(prepare(type(session).from_dict(data)))
-    traces = simulation.traces(6000)
-    simulation.run(6000, traces=traces)
-    return simulation, {
-        f"{node}/{kept.topic.name}": kept.values for node in ("pinch", "environment") for kept in traces.by_node[node]
-    }
+    return simulated(data, 6000)
 
 
 def test_the_cube_is_lifted_by_friction_carried_and_put_down() -> None:
@@ -47,13 +42,7 @@ def test_the_cube_is_lifted_by_friction_carried_and_put_down() -> None:
     f = traces["pinch/force"]
     assert f[3500, 2] == pytest.approx(-0.05 * 9.81, abs=0.02)  # the hand bears the cube's weight
     assert f[3500, 3] < -0.05  # and feels, in N·m, what it holds
-    core = simulation.environment
-    assert isinstance(core, EnforcedCore)
-    assert core.controller is not None
-    assert core.controller.ticks == 0
-    assert sum(core.held) < 10
-    assert max(core.chatter.most) < 20
-    assert all(ledger.minimum >= -1e-12 for ledger in simulation.ledgers.values())
+    assert sum(world_kept(simulation).held) < 10
 
 
 def test_without_friction_the_fingers_slip_off() -> None:

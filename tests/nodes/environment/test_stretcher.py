@@ -8,15 +8,13 @@ import numpy as np
 import pytest
 
 from manyhands.launch.audit.simulation import Simulation
-from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.session.shipped import load_named
-from manyhands.nodes.environment.enforced import EnforcedCore
+
+from ...support.engine_runs import Traces, account_kept, simulated, world_kept
 
 TICKS: Final = 4600
 LIFTED, ROLLED, TURNED, DOWN = slice(1050, 3500), slice(1500, 1900), slice(3250, 3500), slice(4400, TICKS)
 HANDS: Final = ("front", "back")
-
-Traces = dict[str, np.ndarray]
 
 
 def carried(**torques: list[object]) -> tuple[Simulation, Traces]:
@@ -25,12 +23,7 @@ def carried(**torques: list[object]) -> tuple[Simulation, Traces]:
     data = session.to_dict()
     for hand, torque in torques.items():
         data["devices"][hand]["orientation"]["torque"] = torque
-    simulation = Simulation(prepare(type(session).from_dict(data)))
-    traces = simulation.traces(TICKS)
-    simulation.run(TICKS, traces=traces)
-    return simulation, {
-        f"{node}/{kept.topic.name}": kept.values for node in (*HANDS, "environment") for kept in traces.by_node[node]
-    }
+    return simulated(data, TICKS)
 
 
 def angles(quaternions: np.ndarray) -> np.ndarray:
@@ -80,15 +73,9 @@ def test_a_hand_whose_tool_is_turned_by_another_feels_nothing_where_that_gives_n
 
 def test_every_account_is_kept(run: tuple[Simulation, Traces]) -> None:
     simulation, traces = run
-    core = simulation.environment
-    assert isinstance(core, EnforcedCore)
-    assert core.controller is not None
-    assert core.controller.ticks == 0
-    assert max(core.chatter.most) < 20
-    assert all(ledger.minimum >= -1e-12 for ledger in simulation.ledgers.values())
+    core = world_kept(simulation)
     assert core.oriented is not None
     assert core.oriented.bank.balance >= 0.0
     for hand in HANDS:
-        account, deposited, granted, *_ = traces[f"{hand}/account"].T
-        assert (account >= deposited - granted - 1e-15).all()
+        account_kept(traces, hand)
     assert (traces["front/account"][:, 0] + traces["back/account"][:, 0] >= -1e-12).all()
