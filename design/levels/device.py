@@ -60,6 +60,8 @@ import math
 from dataclasses import dataclass
 from fractions import Fraction
 
+from manyhands.design.levels.rounding import rounded_down
+
 PIECES = 16  # of [0, tau_hat]: the least gain rises by tau_hat^2/2048, 0.025 % at a whole tick
 
 _SAFETY = Fraction(1, 10**9)  # part of the share given up, so that rounding share, c and tau/T leaves the claim true
@@ -100,9 +102,7 @@ def greatest_share(tau_hat: float, period_tolerance: float = 0.0) -> float:
     Raises:
         ValueError: an argument is outside its range, as for :func:`least_gain`.
     """
-    exact = 1 / (_stretch(period_tolerance) + 8 * _tick_fraction(tau_hat))
-    rounded = float(exact)
-    return rounded if Fraction(rounded) <= exact else math.nextafter(rounded, 0.0)
+    return rounded_down(1 / (_stretch(period_tolerance) + 8 * _tick_fraction(tau_hat)))
 
 
 def gain_for_share(

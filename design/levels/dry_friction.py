@@ -18,6 +18,7 @@ from fractions import Fraction
 
 import numpy as np
 
+from manyhands.design.levels.rounding import rounded_down
 from manyhands.design.models.statespace import Matrix, matrix
 
 _BELOW = Fraction(1, 10**12)  # of c: a file's numbers are its shortest decimals, which a proof takes exactly
@@ -33,9 +34,7 @@ def damping_below(speed: float, friction: Sequence[float], kept: Sequence[float]
     """
     out = []
     for c, w in zip(friction, kept, strict=True):
-        exact = max(Fraction(c) * (1 - _BELOW) - Fraction(w), Fraction(0)) / Fraction(speed)
-        rounded = float(exact)
-        out.append(rounded if Fraction(rounded) <= exact else math.nextafter(rounded, 0.0))
+        out.append(rounded_down(max(Fraction(c) * (1 - _BELOW) - Fraction(w), Fraction(0)) / Fraction(speed)))
     return tuple(out)
 
 

@@ -33,6 +33,7 @@ from typing import Any
 
 import numpy as np
 
+from manyhands.design.levels.rounding import rounded_up
 from manyhands.design.models.statespace import Matrix, matrix
 
 _BELOW = 1e-12  # of Delta_D: a file's numbers are its shortest decimals, which a proof takes exactly
@@ -96,20 +97,14 @@ class HeldTorque:
         K_geo = self.stiffness(T, tau, period_tolerance)
         if K_geo is None:
             return math.inf
-        exact = K_geo * ((1 + Fraction(period_tolerance)) * Fraction(T) + 3 * Fraction(tau)) / 2
-        rounded = float(exact)
-        return rounded if Fraction(rounded) >= exact else math.nextafter(rounded, math.inf)
+        return rounded_up(K_geo * ((1 + Fraction(period_tolerance)) * Fraction(T) + 3 * Fraction(tau)) / 2)
 
     def turning(self, T: float, tau: float, period_tolerance: float) -> float:
         """L^2 d, N*m*s/rad, rounded up: what is taken of an orientation's damping; 0 where no torque of it is held."""
         if self.length is None:
             return 0.0
         d = self.damping(T, tau, period_tolerance)
-        if not math.isfinite(d):
-            return math.inf
-        exact = Fraction(self.length) ** 2 * Fraction(d)
-        rounded = float(exact)
-        return rounded if Fraction(rounded) >= exact else math.nextafter(rounded, math.inf)
+        return rounded_up(Fraction(self.length) ** 2 * Fraction(d)) if math.isfinite(d) else math.inf
 
     def left(self, level: Matrix, T: float, tau: float, period_tolerance: float) -> Matrix | None:
         """Delta_D - d I, N*s/m, slightly less; None if that is not positive definite.
