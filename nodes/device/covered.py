@@ -9,13 +9,42 @@ from which the pair before it acted that did,
     a - s <= tau,    e <= s + lambda T + tau,    a' <= s.
 
 No account is needed then, and no work has to be known. Where a driver's samples are up to A old and its torques act up
-to delta late, s is the earliest instant that may be, and a and e are the latest.
+to delta late, s is the earliest instant that may be, and a and e are the latest. Nothing is claimed of a device that
+turns faster than it states (:class:`TurningSpeed`).
 """
 
 from __future__ import annotations
 
+from typing import Final
+
 from manyhands.nodes.kernel.bundle import DeviceRung
-from manyhands.protocol.clock import Duration, Instant, from_seconds
+from manyhands.nodes.kernel.orientation import Quaternion, angle
+from manyhands.protocol.clock import Duration, Instant, from_seconds, seconds
+
+_EQUAL: Final = 1.0 + 1e-9
+"""Of a speed: that of an angle between two orientations, in doubles."""
+
+
+class TurningSpeed:
+    """Whether a device has turned faster than its greatest speed from one tick's row to the next."""
+
+    def __init__(self, most: float, jitter: float) -> None:
+        """Begin before the first row.
+
+        Args:
+            most: the greatest speed, rad/s.
+            jitter: by how much the time between two samples may be longer than that between their rows, s.
+        """
+        self._most, self._jitter = most, jitter
+        self._before: tuple[Quaternion, Instant] | None = None
+
+    def beyond(self, now: Quaternion, at: Instant) -> bool:
+        """Whether it has turned to ``now``, the orientation of the row at ``at``, faster than that; no at the first."""
+        before, self._before = self._before, (now, at)
+        if before is None:
+            return False
+        turned, since = before
+        return angle(turned, now) > self._most * (seconds(Duration(at - since)) + self._jitter) * _EQUAL
 
 
 class CoveredHolds:

@@ -39,7 +39,7 @@ from collections.abc import Sequence
 from typing import Final, Protocol, cast
 
 from manyhands.nodes.device.core import DeviceCore, Guard
-from manyhands.nodes.device.covered import CoveredHolds
+from manyhands.nodes.device.covered import CoveredHolds, TurningSpeed
 from manyhands.nodes.device.drivers import Driver
 from manyhands.nodes.device.interface import DeviceInterface, interface_of
 from manyhands.nodes.device.orientation import (
@@ -56,7 +56,7 @@ from manyhands.nodes.device.wrist import Wrist
 from manyhands.nodes.kernel.arithmetic import Floats
 from manyhands.nodes.kernel.bundle import WALL, DeviceBundle, OrientationPart, PersonHand, SensedPart, SimulatedHand
 from manyhands.nodes.kernel.buttons import Buttons, scripted
-from manyhands.nodes.kernel.orientation import NO_RIDER, Quaternion, angle
+from manyhands.nodes.kernel.orientation import NO_RIDER, Quaternion
 from manyhands.nodes.kernel.passivity import Ledger
 from manyhands.nodes.kernel.timeouts import longest_hold
 from manyhands.nodes.rows.two_port import Row
@@ -119,9 +119,7 @@ class DeviceTick(ABC):
         self._first = True
         # of a driver of another package: what it really exerts of the force that it was given; it is held to its word
         self._exerted = driver.exerted if isinstance(driver, PluginDriver) else None
-        self._torques = (
-            bundle.held is not None and bundle.held.works
-        )  # its motors hold them, and their work is asked for
+        self._torques = bundle.held is not None and bundle.held.works  # its motors hold them and tell their work
         simulated = bundle.inertia if isinstance(bundle.source, SimulatedHand) else None
         self._steps = simulated.step if simulated is not None and any(simulated.step) else None
         self.driver = driver
@@ -146,11 +144,10 @@ class DeviceTick(ABC):
         self._left = bundle.levels if twisting else None  # what they leave of Delta_D, by rung
         self._rung = bundle.rungs[0]
         self.recorded_turn: Quaternion | None = None
-        self._turned: Quaternion | None = None  # at the row of the tick before, and when that was
-        self._turned_at = Instant(0)
-        self._turning = bundle.orientation.speed if isinstance(bundle.orientation, OrientationPart) else math.inf
-        # of a driver of another package that exerts a torque, too
         own = bundle.orientation
+        turning = own.speed if isinstance(own, OrientationPart) else math.inf
+        self._turning = TurningSpeed(turning, self._jitter) if twisting else None
+        # of a driver of another package that exerts a torque, too
         felt = isinstance(own, OrientationPart) and own.source is None
         self._wrench: WrenchDriver | None = cast("WrenchDriver", driver) if felt else None
 
@@ -202,14 +199,6 @@ class DeviceTick(ABC):
     def _together(self) -> bool:
         """Whether a torque ends with its force."""
         return self._wrench is not None or self._covered is not None
-
-    def _turns_too_fast(self, now: Quaternion) -> bool:
-        """Whether it has turned to ``now`` since the row of the tick before at more than its greatest speed."""
-        before, since = self._turned, self._turned_at
-        self._turned, self._turned_at = now, self._row_at
-        if before is None:
-            return False
-        return angle(before, now) > self._turning * ((self._row_at - since) * 1e-9 + self._jitter) * _EQUAL
 
     def _exert_now(self, f: Floats, at: Instant, until: Instant | None) -> Sequence[float] | None:
         """Exert f (N), and the orientation's torque where the driver exerts one; returns as :meth:`Driver.apply`."""
@@ -395,7 +384,11 @@ class WallTimeTick(DeviceTick):
         """Exert what limits and account allow, or the recorded force."""
         within, ratio = self.guard.clip(asked), 1.0
         turning = self.orientation if isinstance(self.orientation, DeviceOrientation) else None
-        if self._covered is not None and turning is not None and self._turns_too_fast(self.recorded_turn or turning.R):
+        if (
+            self._turning is not None
+            and turning is not None
+            and self._turning.beyond(self.recorded_turn or turning.R, self._row_at)
+        ):
             within, ratio = self._zero, 0.0  # beyond its greatest speeds, all that it is given is outside the claim
         held, until = self.wall_interface.force(asked, within, at)
         if self.guard.leaving:
