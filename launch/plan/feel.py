@@ -95,6 +95,16 @@ def feel_lines(session: Session, certificates: Iterable[Certificate]) -> list[st
     return [f"{session.name}: {found[0].sentence}{others}"]
 
 
+def person_lines(session: Session) -> list[str]:
+    """One line for each device whose hand is a person's at a browser, and so rests in a simulation."""
+    return [
+        f"{name}: nobody is at the browser in a simulation, and its hand rests; launch the session for a person, or "
+        "give it driver: simulated and a hand"
+        for name, device in session.devices.items()
+        if device.driver == "browser"
+    ]
+
+
 def network_lines(session: Session, clock: str) -> list[str]:
     """One line for each wave link whose stated network is not that of a run by this clock."""
     lines = []

@@ -20,7 +20,7 @@ import shlex
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
 
@@ -125,6 +125,7 @@ class Cap:
     level: tuple[float, ...]
     period: float
     units: tuple[str, ...]
+    widest: ClassVar[float] = _WIDEST
 
     @property
     def what(self) -> str:
@@ -282,7 +283,7 @@ def _tried(session: Session, name: str, way: Lever | Cap | Option, left: TimeLef
         return designed(way.at(share)) is not None
 
     for helps in (levels, proved):
-        if (share := _limit(helps, way.widest if isinstance(way, Lever) else _WIDEST)) is None:
+        if (share := _limit(helps, way.widest)) is None:
             return None
         changes = way.at(share * _TRIED)
         if (gives := designed(changes)) is not None:
@@ -608,13 +609,12 @@ def _at_every_speed(session: Session, plain: dict[str, Any], name: str) -> Ways:
 
 def _below_a_speed(session: Session, plain: dict[str, Any], name: str) -> Ways:
     """A speed below which the dry friction of devices counts as damping."""
-    devices = [session.devices[device] for device in _devices(session, name)]
-    if name == ENVIRONMENT or session.wave_links or "speed" in plain["design"]:
+    devices = _devices(session, name)
+    stated = [own.least for device in devices if (own := session.devices[device].friction) is not None]
+    if name == ENVIRONMENT or session.wave_links or "speed" in plain["design"] or not stated:
         return ()
-    if not any(device.friction for device in devices):
-        return ()
-    friction = max(_numbers([device.friction.least for device in devices if device.friction]), default=0.0)
-    level = min(float(np.diag(session.osp_level(device)).min()) for device in _devices(session, name))
+    friction = max(_numbers(stated), default=0.0)
+    level = min(float(np.diag(session.osp_level(device)).min()) for device in devices)
     # there friction is worth 0.01 % of the damping, which is less than a limit is found by
     values = {"design.speed": 1e4 * friction / level}
     return _lever(session, "a design.speed", "m/s", values, widest=_RANGE, note=", beyond which nothing is proved")

@@ -41,7 +41,7 @@ from manyhands.launch.app.risks import warn_of_code
 from manyhands.launch.files import claimed
 from manyhands.launch.look.display import progress_bar, say, world_lines
 from manyhands.launch.plan.engine import engine_lines
-from manyhands.launch.plan.feel import network_lines
+from manyhands.launch.plan.feel import network_lines, person_lines
 from manyhands.launch.plan.reach import Listen
 from manyhands.launch.recordings.formats import RUN_SUFFIXES, STREAMED, SUFFIXES
 from manyhands.launch.recordings.recording import require_suffix
@@ -125,14 +125,7 @@ def simulate(
         for name, link in simulation.links.items():
             if (impedance := loaded.impedance_of(name)) is not None and ticks:
                 say(out, link.felt(impedance, loaded.kinds_of(name)).sentence(name, over=True))
-        absent = [name for name, device in loaded.devices.items() if device.driver == "browser"]
-        for name in absent:
-            say(
-                err,
-                f"{name}: nobody is at the browser in a simulation, and its hand rests; launch the session for a "
-                "person, or give it driver: simulated and a hand",
-            )
-        for line in (*network_lines(loaded, SIMULATED), *engine_lines(loaded)):
+        for line in (*person_lines(loaded), *network_lines(loaded, SIMULATED), *engine_lines(loaded)):
             say(err, line)
         world, parties = simulation.environment, tuple(simulation.couplings)
         tables = energy_tables(world.energy, parties) | contact_tables(world.held, world.chatter, parties)
